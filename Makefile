@@ -7,7 +7,7 @@ VENV ?= .venv
 RUN = $(VENV)/bin
 OUT ?= out
 
-.PHONY: demo docs gpu pictures test tests kernels modules coverage fuzz lint wheel sbom licences bundle setup system clean
+.PHONY: demo docs gpu pictures test tests kernels modules npm coverage fuzz lint wheel sbom licences bundle setup system clean
 
 demo: setup
 	@if [ -n "$$DISPLAY$$WAYLAND_DISPLAY" ]; then \
@@ -26,12 +26,18 @@ test: setup
 	$(MAKE) --jobs=2 lint tests
 
 TESTS = -m pytest --numprocesses=2 --dist=loadfile --no-loadscope-reorder --max-worker-restart=0
-tests: kernels modules
+tests: kernels modules npm
 	$(RUN)/python $(TESTS)
 
 # Kernels are compiled once, instead of by several tests at a time, and while torch is installed.
 kernels: setup
 	$(RUN)/python -c "from gsrain_engine.editor.drawing.textures import compile_kernels; compile_kernels()"
+
+# Programs of others that read what we write; without node or network their tests are skipped.
+npm: tests/npm/node_modules/.package-lock.json
+
+tests/npm/node_modules/.package-lock.json: tests/npm/package-lock.json
+	-command -v npm > /dev/null && npm ci --prefix tests/npm --ignore-scripts --no-audit --no-fund --silent
 
 # So are modules, with the types that tests check; what is wrong with one, its tests tell.
 modules: $(VENV)/.installed-jobs

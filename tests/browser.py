@@ -28,12 +28,13 @@ class Page:
         self._unread = b""
         self._session: str | None = None
 
-    def open(self, file: Path, width: int = 960, height: int = 640) -> None:
+    def open(self, page: Path | str, width: int = 960, height: int = 640) -> None:
+        """Open a file or an address, and wait until it has loaded."""
         target = self._call("Target.createTarget", url="about:blank")["targetId"]
         self._session = self._call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
         self._call("Page.enable")
         self.size(width, height)
-        self._call("Page.navigate", url=file.as_uri())
+        self._call("Page.navigate", url=page if isinstance(page, str) else page.as_uri())
         self.run("new Promise(done => document.readyState === 'complete' ? done() : addEventListener('load', done))")
 
     def run(self, script: str) -> Any:

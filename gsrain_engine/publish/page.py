@@ -6,7 +6,9 @@ of others draw no streaks: an alpha of 0.01 is below what they keep in eight bit
 """
 
 import base64
+import io
 import json
+import zipfile
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from importlib import metadata
@@ -45,15 +47,17 @@ _SHADERS = (
     "page_picture.frag",
 )
 _KEYS = (
-    ("Drag, wheel", "look around, move ahead"),
+    ("Drag, wheel", "look around, move ahead; with two fingers, too"),
     ("W A S D, Q E", "move; with Shift faster"),
     ("Space, Home", "play or pause; back to the path"),
+    ("+ and -", "more or less rain"),
     ("C", "compare dry and rainy"),
+    ("F, L", "full screen; copy a link to this view"),
 )
 
 _ABOUT = (
-    "A captured scene in calibrated rain, drawn by your graphics card: with the drop sizes, speeds and numbers of each "
-    "rainfall intensity, and the same drops as in the program. Drag the divider to compare, the slider for more rain."
+    "A scene of Gaussians in calibrated rain, drawn by your graphics card: with the drop sizes, speeds and numbers of "
+    "each rainfall intensity, and the drops of the program. Drag the divider to compare, the slider for more rain."
 )
 
 
@@ -123,21 +127,37 @@ def page_html(contents: PageContents) -> str:
         loader=jinja2.PackageLoader("gsrain_engine.publish", "."), autoescape=True, trim_blocks=False,
         undefined=jinja2.StrictUndefined,
     )  # fmt: skip
-    diameters = np.ascontiguousarray(contents.rain.diameters_mm, np.float32).tobytes()
-    found = contents.scene
-    blocks = {"scene": found.sog, "diameters": diameters, "wet": found.wet_colors, "actors": found.actors}
-    blocks["poses"] = found.poses.tobytes() if len(found.poses) else None
-    blocks["roofs"] = None if contents.rain.roofs is None else contents.rain.roofs.heights_m.tobytes()
     texts = {name: ShaderSource(name, _COLUMNS).text for name in _SHADERS}
     texts["page_project.frag streaks"] = ShaderSource("page_project.frag", {**_COLUMNS, "STREAKS": 1}).text
     texts["rain-script"] = (Path(__file__).parent / "rain.js").read_text(encoding="utf-8")
-    data = [(name, Markup(text)) for name, text in texts.items()]
-    data += [(name, Markup(base64.b64encode(block).decode())) for name, block in blocks.items() if block is not None]
     return environment.get_template("page.html").render(
         title=contents.title, path_name=contents.path_name, about=_ABOUT, keys=_KEYS,
         missing=", ".join(contents.missing), version=metadata.version("gsrain"), settings=_script(_settings(contents)),
-        data=data,
+        texts=[(name, Markup(text)) for name, text in texts.items()], data=Markup(base85(_archive(contents))),
     )  # fmt: skip
+
+
+def _archive(contents: PageContents) -> bytes:
+    """All files of a page in a zip file; images are compressed already."""
+    scene, roofs = contents.scene, contents.rain.roofs
+    files = {"scene.sog": scene.sog}
+    files |= {f"wet/{name}": file for name, file in (scene.wet_colors or {}).items()}
+    files |= {} if scene.actors is None else {"actors.webp": scene.actors, "poses": scene.poses.tobytes()}
+    files |= {} if roofs is None else {"roofs": roofs.heights_m.tobytes()}
+    whole = io.BytesIO()
+    with zipfile.ZipFile(whole, "w") as archive:
+        for name, file in files.items():
+            is_packed = name.endswith((".sog", ".webp"))
+            archive.writestr(zipfile.ZipInfo(name), file, zipfile.ZIP_STORED if is_packed else zipfile.ZIP_DEFLATED)
+    return whole.getvalue()
+
+
+def base85(data: bytes) -> str:
+    """Bytes as text of five characters for each four, in the alphabet of RFC 1924 with a comma for `<`.
+
+    Base64 takes 7 % more; denser ones need characters that a server's or an editor's encoding may change.
+    """
+    return base64.b85encode(data).decode().replace("<", ",")
 
 
 def _settings(contents: PageContents) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 // gsrain_engine/rain (drop_field.py, air.py, streaks.py, medium.py), which have the sources; lengths in meters, times in seconds.
 // Runs in a worker, without a document.
 
-const CLASSES = 16384, NODES = 256, ROW = NODES + 1, STEPS = 64;
+const CLASSES = 16384, CELLS = 4096, NODES = 256, ROW = NODES + 1, STEPS = 64;
 const FIRST_OF_CLASS = 13125;  // inverse of the stride 10125 modulo CLASSES
 const float = Math.fround;
 const FRACTION = float(2 ** -24), BELOW_ONE = float(1 - 2 ** -24);
@@ -84,13 +84,33 @@ function fallSpeed({quadratic, share}, diameter) {
   return share * ((a * d + b) * d + c);
 }
 
-// A rain at one intensity. `settings` are those of the page; `state` those of the intensity, with its classes' diameters (mm).
+// Diameters (mm) of the classes: quantiles of a gamma law between two bounds, as `DropSizes`. `logarithm` is that of what the
+// density is divided by. Sums the density over a grid (Gauss-Legendre, three points), and finds each quantile in its cell (Newton).
+function classDiameters({shape, scale, logarithm, smallest, largest}) {
+  const density = d => Math.exp((shape - 1) * Math.log(d / scale) - d / scale - logarithm), part = Math.sqrt(3 / 5) / 2;
+  const between = (a, b) => (b - a) / 18 *
+    (5 * density((a + b) / 2 - part * (b - a)) + 8 * density((a + b) / 2) + 5 * density((a + b) / 2 + part * (b - a)));
+  const node = k => smallest + (largest - smallest) * k / CELLS, sums = new Float64Array(CELLS + 1);
+  for (let k = 0; k < CELLS; ++k) sums[k + 1] = sums[k] + between(node(k), node(k + 1));
+  let cell = 0;
+  return Float64Array.from({length: CLASSES}, (_, c) => {
+    const sought = (c + 0.5) / CLASSES;
+    while (cell < CELLS - 1 && sums[cell + 1] < sought) ++cell;
+    const low = node(cell), high = node(cell + 1);
+    let found = low + (high - low) * (sought - sums[cell]) / (sums[cell + 1] - sums[cell]);
+    for (let k = 0; k < 4; ++k)
+      found = Math.min(Math.max(found + (sought - sums[cell] - between(low, found)) / density(found), low), high);
+    return found;
+  });
+}
+
+// A rain at one intensity. `settings` are those of the page; `state` those of the intensity.
 class Rain {
   constructor(settings, state) {
-    Object.assign(this, {settings, state});
+    Object.assign(this, {settings, state, diameters: classDiameters(state.sizes)});
     const slow = this.slow = new Float32Array(CLASSES), gusty = this.gusty = new Float32Array(CLASSES);
     const own = this.own = new Float32Array(CLASSES);
-    this.speeds = Float64Array.from(state.diameters, diameter => fallSpeed(settings.fallSpeed, diameter));
+    this.speeds = this.diameters.map(diameter => fallSpeed(settings.fallSpeed, diameter));
     this.speeds.forEach((speed, k) => {
       const slowness = 1 / Math.max(speed, MIN_FALL), fall = 1 / slowness;
       const follows = 1 / Math.sqrt(1 + fall * fall / (GRAVITY * EDDY_LENGTH));
@@ -215,7 +235,7 @@ class Rain {
       aperture = native * 1e-6 * sensor.pitch / sensor.fNumber;
       focus = sensor.focus || aperture * native;
     }
-    const far = Float64Array.from(this.state.diameters, diameter => criticalHaze * focal * diameter * 1e-3);
+    const far = this.diameters.map(diameter => criticalHaze * focal * diameter * 1e-3);
     const farthest = Math.hypot(...this.settings.region.maximum.map((each, k) => each - this.settings.region.minimum[k]));
     const blur = depth => 5 / 4 * aperture * Math.max(1, Math.abs(1 - Math.min(depth, farthest) / focus));
     const sideways = 5 * wind.turbulence + Math.hypot(camera.velocity[0], camera.velocity[1]);
@@ -223,11 +243,11 @@ class Rain {
             scan: [camera.fy / camera.height, camera.cy / camera.height - 0.5]};
   }
 
-  // Numbers and places (world) of the drops that may be visible to a camera at a time.
+  // Numbers, places (world) and diameters (mm) of the drops that may be visible to a camera at a time.
   drops(time, camera) {
     const cell = this._cell(time, camera), found = [];
     this._visible(cell, camera, (number, c, x, y, z) =>
-      found.push([number, x + cell.center[0], y + cell.center[1], z + cell.center[2]]));
+      found.push([number, x + cell.center[0], y + cell.center[1], z + cell.center[2], this.diameters[c]]));
     return found;
   }
 
@@ -245,7 +265,7 @@ class Rain {
     this._visible(cell, camera, (number, c, x, y, z, moves) => {
       turn(p, x - eyeX, y - eyeY, z - eyeZ);
       turn(v, moves[0] - ownX, moves[1] - ownY, moves[2] - ownZ);
-      const millimeters = this.state.diameters[c], diameter = 1e-3 * millimeters;
+      const millimeters = this.diameters[c], diameter = 1e-3 * millimeters;
       let stretch = 1;
       if (readout > 0 && p[2] > 0) {
         const slope = p[1] / p[2], rate = scan[0] * (v[1] - slope * v[2]) / p[2];
@@ -291,7 +311,7 @@ class Rain {
   // Numbers, table and floor of the medium for a camera, as `RainMedium`.
   medium(camera) {
     const cell = {size: [0, 1, 2].map(k => this.settings.region.maximum[k] - this.settings.region.minimum[k])};
-    const shutter = this._shutter(camera), {diameters, density} = this.state, {region, hazeGain} = this.settings;
+    const shutter = this._shutter(camera), {diameters} = this, {density} = this.state, {region, hazeGain} = this.settings;
     const reach = Math.min(Math.hypot(...cell.size), shutter.far[CLASSES - 1]), step = reach / (STEPS - 1);
     const areas = new Float64Array(CLASSES + 1);  // of the drops of a class and of larger ones (m2), for each drop
     for (let c = CLASSES - 1; c >= 0; --c) areas[c] = areas[c + 1] + Math.PI / 4 * (1e-3 * diameters[c]) ** 2;
@@ -406,5 +426,5 @@ if (typeof WorkerGlobalScope !== "undefined" && self instanceof WorkerGlobalScop
     self.postMessage({id: data.id, ids, streaks: copy, numbers, drawn, floor, camera, state, poses: data.poses}, [ids.buffer, copy.buffer]);
   };
 } else if (typeof module !== "undefined") {
-  module.exports = {Rain, DepthOrder, CLASSES, STREAK_FLOATS};
+  module.exports = {Rain, DepthOrder, classDiameters};
 }

@@ -4,11 +4,10 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float32
 from msgspec import structs
 
 from ..rain.frame import SkyLight
-from ..rain.properties import rain_class, turbulent_fall_share
+from ..rain.properties import LARGEST_MM, SMALLEST_MM, DropSizes, rain_class, turbulent_fall_share
 from ..rain.settings import RainSettings
 from ..rain.shelter_map import ShelterMap, shelter_map_of
 from ..rain.simulation import RainSimulation
@@ -36,7 +35,6 @@ class RainStates(NamedTuple):
     """Values common to all intensities, in the names of `rain.js`."""
     states: list[dict[str, Any]]
     """One for each step of the slider, rising."""
-    diameters_mm: Float32[np.ndarray, "states classes"]
     roofs: ShelterMap | None
     """Roofs near the path; None without any."""
     chosen: int
@@ -85,7 +83,6 @@ def rain_states(
         "maxCopies": rain.max_copies,
     }  # fmt: skip
     states = [_state(simulation, sky) for simulation in simulations]
-    diameters = np.stack([simulation.diameters_mm for simulation in simulations]).astype(np.float32)
     roofs = shelter_map_of(scene) if rain.roofs else None
     if roofs is not None:
         places = np.array([camera.position[:2] for camera in cameras])
@@ -95,7 +92,7 @@ def rain_states(
     if roofs is not None:
         rows, columns = roofs.heights_m.shape
         settings["roofs"] = {"rows": rows, "columns": columns, "corner": roofs.corner_m, "cell": roofs.cell_m}
-    return RainStates(settings, states, diameters, roofs, steps.index(rain.intensity_mm_h))
+    return RainStates(settings, states, roofs, steps.index(rain.intensity_mm_h))
 
 
 def _state(simulation: RainSimulation, sky: dict[bool, SkyLight]) -> dict[str, Any]:
@@ -105,6 +102,7 @@ def _state(simulation: RainSimulation, sky: dict[bool, SkyLight]) -> dict[str, A
     return {
         "intensity": state.intensity_mm_h,
         "class": rain_class(state.intensity_mm_h),
+        "sizes": _sizes(state.sizes),
         "density": state.density_m3 if simulation.rain.streaks else 0.0,
         "extinction": state.extinction_per_m,
         "wetness": simulation.soaked_share_at(0.0),
@@ -112,3 +110,13 @@ def _state(simulation: RainSimulation, sky: dict[bool, SkyLight]) -> dict[str, A
         "drops": own or light.drops,
         "airlight": own or light.airlight,
     }
+
+
+def _sizes(sizes: DropSizes) -> dict[str, float]:
+    """Gamma law of the diameters (mm), of density x^(shape - 1) e^-x e^-logarithm, with x the diameter in scales."""
+    x = sizes.shape
+    density = float(sizes.probability_per_mm(np.array([sizes.scale_mm * x]))[0])
+    return {
+        "shape": sizes.shape, "scale": sizes.scale_mm, "smallest": SMALLEST_MM, "largest": LARGEST_MM,
+        "logarithm": float((sizes.shape - 1) * np.log(x) - x - np.log(density)),
+    }  # fmt: skip

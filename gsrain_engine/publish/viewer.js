@@ -1,35 +1,10 @@
 "use strict";
-// The page: draws a SOG scene and its rain with WebGL 2, by the shaders of the desktop. Rain and depth order come from the worker
-// (rain.js). A part of the address after # is a view: #mm=8.5&t=2.5&split=0.5&camera=x,y,z,w,x,y,z,fov; `size=WxH` fixes the size.
+// Draws a SOG scene and its rain with WebGL 2, by the shaders of the desktop. Rain and depth order come from the worker (rain.js).
 
 const settings = JSON.parse(document.getElementById("settings").textContent);
 const COLUMNS = settings.splatColumns, STREAK_COLUMNS = settings.streakColumns, STREAK_FLOATS = 12, NEAR = settings.near;
 const element = name => document.getElementById(name), canvas = element("view");
 const gl = canvas.getContext("webgl2", {alpha: false, antialias: false, powerPreference: "high-performance", preserveDrawingBuffer: true});
-
-function bytesOf(name) {
-  const text = atob(element(name).textContent);
-  element(name).remove();
-  return Uint8Array.from(text, letter => letter.charCodeAt(0));
-}
-
-// Files of a zip archive, stored or deflated.
-async function unzipped(bytes) {
-  const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength), files = {};
-  let end = bytes.length - 22;
-  while (end > 0 && view.getUint32(end, true) !== 0x06054b50) --end;
-  let at = view.getUint32(end + 16, true);
-  for (let left = view.getUint16(end + 10, true); left > 0; --left) {
-    const method = view.getUint16(at + 10, true), size = view.getUint32(at + 20, true), local = view.getUint32(at + 42, true);
-    const name = new TextDecoder().decode(bytes.subarray(at + 46, at + 46 + view.getUint16(at + 28, true)));
-    const start = local + 30 + view.getUint16(local + 26, true) + view.getUint16(local + 28, true);
-    const data = bytes.subarray(start, start + size);
-    files[name] = method === 0 ? data : new Uint8Array(await new Response(
-      new Blob([data]).stream().pipeThrough(new DecompressionStream("deflate-raw"))).arrayBuffer());
-    at += 46 + view.getUint16(at + 28, true) + view.getUint16(at + 30, true) + view.getUint16(at + 32, true);
-  }
-  return files;
-}
 
 // Textures and programs
 
@@ -42,6 +17,8 @@ function texture(internal, width, height, format, type, pixels = null) {
     gl.texParameteri(gl.TEXTURE_2D, gl[`TEXTURE_${name}`], gl[value]);
   return Object.assign(made, {width, height});
 }
+
+const emptyTexture = () => texture(gl.RGBA8, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
 
 async function imageTexture(bytes) {  // the bytes of a lossless image, as they are
   const bitmap = await createImageBitmap(
@@ -62,6 +39,14 @@ function pixelsOf(image) {
   gl.readPixels(0, 0, image.width, image.height, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
   gl.deleteFramebuffer(framebuffer);
   return pixels;
+}
+
+// Soaked base colors of differences from the dry ones (`wet_files` in page_scene.py).
+function addSteps(differences, base, steps) {
+  const sums = pixelsOf(differences), dry = pixelsOf(base);
+  for (let k = 0; k < sums.length; ++k) if ((k & 3) < 3) sums[k] += steps[dry[k]];
+  gl.bindTexture(gl.TEXTURE_2D, differences);
+  gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, differences.width, differences.height, gl.RGBA, gl.UNSIGNED_BYTE, sums);
 }
 
 class Program {
@@ -142,11 +127,8 @@ function posesAt(time) {
   return found;
 }
 
-// State of the page
+// Opening
 
-const duration = settings.pathStep * (settings.path.length - 1);
-const state = {time: 0, step: settings.chosen, split: 0.5, playing: false, free: null, size: null};
-const keys = new Set();
 let worker = null, waiting = new Map(), requests = 0, scene = {}, programs = null, screen = null, half = null;
 
 function answer(camera, time, step, drops = false) {  // of the worker
@@ -157,29 +139,34 @@ function answer(camera, time, step, drops = false) {  // of the worker
   return promise;
 }
 
-async function open() {
+// Opens the page's scene; `report` is called with what is done next, and waits for the screen to show it.
+async function open(report) {
   if (!gl) throw new Error("this browser has no WebGL 2");
   if (!gl.getExtension("EXT_color_buffer_float")) throw new Error("this graphics card draws no floating-point images");
   half = !gl.getExtension("EXT_float_blend");
-  const files = await unzipped(bytesOf("scene")), meta = JSON.parse(new TextDecoder().decode(files["meta.json"]));
-  const wetFiles = settings.hasWet ? await unzipped(bytesOf("wet")) : files;
-  const wet = JSON.parse(new TextDecoder().decode(wetFiles["meta.json"]));
-  const image = (from, part, k) => part ? imageTexture(from[part.files[k]]) : texture(gl.RGBA8, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
+  await report("Unpacking");
+  const all = await unzipped(bytesOf(element("data").textContent)), read = file => JSON.parse(new TextDecoder().decode(file));
+  element("data").remove();
+  await report("Decoding images");
+  const files = await unzipped(all["scene.sog"]), meta = read(files["meta.json"]);
+  const wetFile = name => all[`wet/${name}`], wet = settings.hasWet ? read(wetFile("meta.json")) : {};
+  const image = (file, part, k) => part ? imageTexture(file(part.files[k])) : emptyTexture(), scenes = name => files[name];
   const books = [meta.scales, meta.sh0, meta.shN, wet.sh0, wet.shN].map(part => part ? part.codebook : new Array(256).fill(0));
   const textures = {
-    means_low: await image(files, meta.means, 0), means_high: await image(files, meta.means, 1),
-    scales: await image(files, meta.scales, 0), quaternions: await image(files, meta.quats, 0), base: await image(files, meta.sh0, 0),
-    centroids: await image(files, meta.shN, 0), labels: await image(files, meta.shN, 1),
-    wet_base: await image(wetFiles, wet.sh0, 0), wet_centroids: await image(wetFiles, wet.shN, 0),
-    wet_labels: await image(wetFiles, wet.shN, 1),
+    means_low: await image(scenes, meta.means, 0), means_high: await image(scenes, meta.means, 1),
+    scales: await image(scenes, meta.scales, 0), quaternions: await image(scenes, meta.quats, 0), base: await image(scenes, meta.sh0, 0),
+    centroids: await image(scenes, meta.shN, 0), labels: await image(scenes, meta.shN, 1),
+    wet_base: await image(wetFile, wet.sh0, 0), wet_centroids: await image(wetFile, wet.shN, 0),
+    wet_labels: await image(wetFile, wet.shN, 1),
     codebooks: texture(gl.R32F, 256, 5, gl.RED, gl.FLOAT, Float32Array.from(books.flat())),
   };
+  if (settings.hasWet) addSteps(textures.wet_base, textures.base, wet.sh0.dry_steps);
   if (settings.actors) {
-    textures.actors = await imageTexture(bytesOf("actors"));
+    textures.actors = await imageTexture(all["actors.webp"]);
     textures.poses = texture(gl.RGBA32F, 4, settings.actors + 1);
-    const poses = new Float32Array(bytesOf("poses").buffer);
+    const poses = new Float32Array(all.poses.buffer);
     scene.poses = {all: poses, steps: poses.length / settings.actors / 12};
-  } else textures.actors = textures.poses = texture(gl.RGBA8, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
+  } else textures.actors = textures.poses = emptyTexture();
   const harmonics = part => part ? [1, 4, 9, 16][part.bands] : 1;
   const count = meta.count, {mins, maxs} = meta.means;
   Object.assign(scene, {count, textures, means_minimum: mins, means_maximum: maxs, coefficients: harmonics(meta.shN), wet_coefficients: harmonics(wet.shN)});
@@ -193,14 +180,14 @@ async function open() {
     for (let k = 0; k < 3; ++k)
       fixed[3 * i + k] = rotation[k][0] * place[0] + rotation[k][1] * place[1] + rotation[k][2] * place[2] + origin[k];
   }
-  const diameters = new Float32Array(bytesOf("diameters").buffer), classes = diameters.length / settings.states.length;
-  const states = settings.states.map((each, k) => ({...each, diameters: diameters.subarray(k * classes, (k + 1) * classes)}));
+  await report("Preparing the graphics card");
   worker = new Worker(URL.createObjectURL(new Blob([element("rain-script").textContent], {type: "text/javascript"})));
   worker.onmessage = ({data}) => { waiting.get(data.id)(data); waiting.delete(data.id); };
+  worker.onerror = ({message}) => failed(new Error(message));
   const actors = settings.actors ? pixelsOf(textures.actors) : null;
   const members = actors && Uint16Array.from({length: count}, (_, i) => actors[4 * i] + 256 * actors[4 * i + 1]);
-  if (settings.rain.roofs) settings.rain.roofs.heights = new Float32Array(bytesOf("roofs").buffer);
-  worker.postMessage({fixed, members, states, settings: settings.rain});
+  if (settings.rain.roofs) settings.rain.roofs.heights = new Float32Array(all.roofs.buffer);
+  worker.postMessage({fixed, members, states: settings.states, settings: settings.rain});
   const text = name => element(name).textContent;
   programs = {
     scene: new Program(text("page_quad.vert"), text("page_project.frag")),
@@ -324,157 +311,3 @@ function draw(camera, drawn, split) {
   if (split > 0) drawPart(camera, {...drawn, streaks: new Float32Array(0)}, settings.states[0], 0, split);
   if (split < 1) drawPart(camera, drawn, settings.states[drawn.state], split, 1);
 }
-
-// One exact picture: a view as in the address, as a data URL; for tests and figures.
-async function image(options = {}) {
-  Object.assign(state, viewOf(options), {playing: false});
-  fit();
-  const camera = withSize(state.free ?? pathCamera(state.time), canvas.width, canvas.height);
-  draw(camera, await answer(camera, state.time, state.step), state.split ?? 0);
-  show();
-  return canvas.toDataURL("image/png");
-}
-
-function viewOf({mm, t, split, camera, size}) {
-  const view = {};
-  if (mm !== undefined) {
-    const distances = settings.states.map(each => Math.abs(each.intensity - mm));
-    view.step = distances.indexOf(Math.min(...distances));
-  }
-  if (t !== undefined) view.time = Math.max(0, Number(t));
-  if (split !== undefined) view.split = Number(split) > 0 ? Math.min(Number(split), 1) : null;
-  if (size !== undefined) view.size = String(size).split("x").map(Number);
-  if (camera !== undefined) {
-    const numbers = String(camera).split(",").map(Number);
-    view.free = {position: numbers.slice(0, 3), axes: transposed(rotationOf(numbers.slice(3, 7))), fov: numbers[7], velocity: [0, 0, 0], floor: settings.floors[0]};
-  }
-  return view;
-}
-
-function fit() {  // the canvas to the window, or to the size that was asked for
-  const ratio = Math.min(window.devicePixelRatio || 1, 2);
-  const [width, height] = state.size ?? [Math.round(canvas.clientWidth * ratio), Math.round(canvas.clientHeight * ratio)];
-  if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, {width, height});
-}
-
-// Controls
-
-function show() {
-  const rain = settings.states[state.step], named = rain.class ? `, ${rain.class}` : "";
-  element("intensity-name").textContent = rain.intensity ? `${rain.intensity} mm/h${named}` : "dry";
-  element("intensity").value = state.step;
-  element("time").value = duration ? 1000 * state.time / duration : 0;
-  element("play").setAttribute("aria-pressed", state.playing);
-  element("compare").setAttribute("aria-pressed", state.split !== null);
-  element("home").hidden = !state.free;
-  const divider = element("divider");
-  divider.hidden = state.split === null;
-  divider.style.left = `${100 * (state.split ?? 0)}%`;
-  divider.setAttribute("aria-valuenow", Math.round(100 * (state.split ?? 0)));
-}
-
-function freed() {
-  state.free ??= {...pathCamera(state.time), velocity: [0, 0, 0]};
-  return state.free;
-}
-
-function look(dx, dy) {
-  const camera = freed(), radians = camera.fov / canvas.clientHeight * Math.PI / 180, forward = camera.axes[2];
-  const heading = Math.atan2(forward[1], forward[0]) + dx * radians;
-  const rise = Math.min(Math.max(Math.asin(Math.max(-1, Math.min(1, forward[2]))) + dy * radians, -1.5), 1.5);
-  const ahead = [Math.cos(heading) * Math.cos(rise), Math.sin(heading) * Math.cos(rise), Math.sin(rise)];
-  const right = [Math.sin(heading), -Math.cos(heading), 0];
-  const down = [0, 1, 2].map(k => ahead[(k + 1) % 3] * right[(k + 2) % 3] - ahead[(k + 2) % 3] * right[(k + 1) % 3]);
-  camera.axes = [right, down, ahead];
-}
-
-function move(seconds) {
-  const along = {KeyW: [0, 0, 1], ArrowUp: [0, 0, 1], KeyS: [0, 0, -1], ArrowDown: [0, 0, -1], KeyA: [-1, 0, 0], ArrowLeft: [-1, 0, 0],
-                 KeyD: [1, 0, 0], ArrowRight: [1, 0, 0], KeyE: [0, -1, 0], KeyQ: [0, 1, 0]};
-  const sum = [...keys].reduce((total, key) => total.map((each, k) => each + (along[key]?.[k] ?? 0)), [0, 0, 0]);
-  if (!sum.some(Boolean)) { if (state.free) state.free.velocity = [0, 0, 0]; return; }
-  const camera = freed(), speed = keys.has("ShiftLeft") || keys.has("ShiftRight") ? 20 : 5, way = times(transposed(camera.axes), sum);
-  camera.velocity = way.map(each => each * speed);
-  camera.position = camera.position.map((each, k) => each + camera.velocity[k] * seconds);
-}
-
-function wire() {
-  const fingers = new Map();
-  canvas.addEventListener("pointerdown", event => { fingers.set(event.pointerId, event); canvas.setPointerCapture(event.pointerId); canvas.focus(); });
-  canvas.addEventListener("pointerup", event => fingers.delete(event.pointerId));
-  canvas.addEventListener("pointercancel", event => fingers.delete(event.pointerId));
-  canvas.addEventListener("pointermove", event => {
-    const before = fingers.get(event.pointerId);
-    if (!before) return;
-    const [dx, dy] = [event.clientX - before.clientX, event.clientY - before.clientY];
-    fingers.set(event.pointerId, event);
-    if (fingers.size === 1 && !event.shiftKey && event.buttons !== 4) return look(dx, dy);
-    const camera = freed(), way = times(transposed(camera.axes), [-0.01 * dx, -0.01 * dy, 0]);
-    camera.position = camera.position.map((each, k) => each + way[k]);
-  });
-  canvas.addEventListener("wheel", event => {
-    event.preventDefault();
-    const camera = freed();
-    camera.position = camera.position.map((each, k) => each - 0.01 * event.deltaY * camera.axes[2][k]);
-  }, {passive: false});
-  addEventListener("keydown", event => {
-    if (event.target instanceof HTMLInputElement || element("about").open || event.ctrlKey || event.metaKey) return;
-    if (event.code === "Space" && !(event.target instanceof HTMLButtonElement)) { state.playing = !state.playing; event.preventDefault(); }
-    else if (event.code === "Home") state.free = null;
-    else if (event.code === "KeyC") state.split = state.split === null ? 0.5 : null;
-    else if (event.target !== element("divider")) keys.add(event.code);
-    show();
-  });
-  addEventListener("keyup", event => keys.delete(event.code));
-  addEventListener("blur", () => keys.clear());
-  element("play").onclick = () => { state.playing = !state.playing; show(); };
-  element("home").onclick = () => { state.free = null; show(); };
-  element("compare").onclick = () => { state.split = state.split === null ? 0.5 : null; show(); };
-  element("about-button").onclick = () => element("about").showModal();
-  Object.assign(element("intensity"), {max: settings.states.length - 1, oninput: event => { state.step = Number(event.target.value); show(); }});
-  element("time").oninput = event => { state.time = event.target.value / 1000 * duration; state.free = null; };
-  if (!duration) element("time").parentElement.hidden = true;
-  const divider = element("divider"), slide = x => { state.split = Math.min(Math.max(x, 0.02), 0.98); show(); };
-  divider.onpointerdown = event => divider.setPointerCapture(event.pointerId);
-  divider.onpointermove = event => { if (divider.hasPointerCapture(event.pointerId)) slide(event.clientX / innerWidth); };
-  divider.onkeydown = event => { if (event.code === "ArrowLeft" || event.code === "ArrowRight") slide(state.split + (event.code === "ArrowLeft" ? -0.02 : 0.02)); };
-}
-
-// The latest answer of the worker is drawn again and again; while it works on the next one, the view stays fluid.
-async function run() {
-  const asked = Object.fromEntries(new URLSearchParams(location.hash.slice(1)));
-  Object.assign(state, viewOf(asked), {playing: !Object.keys(asked).length});
-  let latest = null, pending = false, last = performance.now(), drawn = "";
-  const turn = now => {
-    const seconds = Math.min((now - last) / 1000, 0.1);
-    last = now;
-    if (state.playing) {
-      state.time += seconds;
-      if (duration && state.time > duration) state.time %= duration;
-    }
-    move(seconds);
-    fit();
-    const camera = withSize(state.free ?? pathCamera(state.time), canvas.width, canvas.height);
-    if (!pending) {
-      const wanted = JSON.stringify([camera, state.time, state.step]);
-      if (!latest || latest.wanted !== wanted) {
-        pending = true;
-        answer(camera, state.time, state.step).then(found => { latest = {...found, wanted}; pending = false; });
-      }
-    }
-    const picture = latest && JSON.stringify([latest.wanted, camera, state.split]);
-    if (latest && picture !== drawn) {
-      draw(camera, latest, state.split ?? 0);
-      drawn = picture;
-      element("notice").textContent = "";
-    }
-    if (state.playing) show();
-    requestAnimationFrame(turn);
-  };
-  requestAnimationFrame(turn);
-}
-
-const ready = open();
-window.gsrain = {ready, image, drops: time => answer(withSize(pathCamera(time), canvas.width, canvas.height), time, state.step, true)};
-ready.then(() => { wire(); show(); return location.hash.includes("still") ? null : run(); })
-  .catch(error => { element("notice").textContent = `This scene can't be shown: ${error.message}.`; });

@@ -12,8 +12,8 @@ from PIL import Image
 
 from browser import CHROMIUM, browser
 from gsrain_engine.backends import open_renderer
-from gsrain_engine.publish.page import write_page
-from gsrain_engine.publish.page_scene import page_scene
+from gsrain_engine.publish.page import base85, write_page
+from gsrain_engine.publish.page_scene import WET_STEPS, page_scene, wet_files
 from gsrain_engine.publish.rain_states import rain_states
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import OVERCAST, RainSimulation
@@ -22,7 +22,8 @@ from gsrain_engine.render.sequence import FrameSequence
 from gsrain_engine.scene.camera import look_at
 from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.formats.sog import read_sog
-from gsrain_engine.scene.gaussians import sh_from_color
+from gsrain_engine.scene.formats.sog_writer import coded
+from gsrain_engine.scene.gaussians import SH_C0, sh_from_color
 from gsrain_engine.scene.geometry import quaternions_from_matrices
 from gsrain_engine.scene.scene import Actor, Layer, PoseTrack, Scene
 from small_scene import patch, small_scene
@@ -93,7 +94,8 @@ def test_drops_are_those_of_the_desktop(written, page, intensity):
         drops = sequence.rainfall.frame(time_s, rain_camera(sequence.scene, sequence.rainfall, shot)).drops
         assert len(drops.numbers) > 200
         ours = np.array([found[number] for number in drops.numbers.tolist()])  # each is found
-        assert np.abs(ours - drops.positions_m).max() < 1e-3
+        assert np.abs(ours[:, :3] - drops.positions_m).max() < 1e-3
+        np.testing.assert_allclose(ours[:, 3], drops.diameters_mm, rtol=1e-9)
         assert len(found) < 1.2 * len(drops.numbers)  # the page is told nothing of drops out of view
 
 
@@ -129,16 +131,71 @@ def test_title_slider_and_keys(page):
     assert "wet road" in page.run("document.title")
     assert page.run("document.getElementById('intensity-name').textContent").endswith("8.5 mm/h, heavy")
     assert page.run("document.getElementById('divider').hidden") is True
-    page.run("dispatchEvent(new KeyboardEvent('keydown', {code: 'KeyC'}))")
+    for key in ("c", "+", "-", "-", " "):
+        page.run(f"dispatchEvent(new KeyboardEvent('keydown', {{key: '{key}'}}))")
     assert page.run("document.getElementById('divider').hidden") is False
+    assert page.run("document.getElementById('intensity-name').textContent") == "5 mm/h, moderate"
+    assert page.run("document.getElementById('play').getAttribute('aria-pressed')") == "true"
+    assert page.run("document.getElementById('notice').hidden") is True
+
+
+@needs_browser
+def test_an_address_is_a_view(page):
+    view = "#mm=50&split=0.25&t=1.00&camera=1,2.5,1.6,0.5,-0.5,0.5,-0.5,55"
+    changed = "new Promise(done => addEventListener('hashchange', () => done(0), {once: true}))"
+    page.run(f"location.hash = '{view}', {changed}")
+    assert page.run("gsrain.view()") == view
+    page.run("dispatchEvent(new KeyboardEvent('keydown', {key: 'Home'}))")
+    assert page.run("gsrain.view()") == view.split("&camera")[0]
+
+
+@needs_browser
+def test_fingers_turn_shift_and_pinch(page):
+    def camera_after(*moves):
+        page.run("gsrain.image({mm: 0, t: 1, camera: '0,0,1.6,0.5,-0.5,0.5,-0.5,55'}).then(() => 0)")
+        for kind, finger, x, y in moves:
+            event = f"new PointerEvent('{kind}', {{pointerId: {finger}, clientX: {x}, clientY: {y}}})"
+            page.run(f"document.getElementById('view').dispatchEvent({event})")
+        return np.array(page.run("gsrain.view()").split("camera=")[1].split(","), float)
+
+    page.run("document.getElementById('view').setPointerCapture = () => 0")  # there are no such pointers
+    down = ("pointerdown", 1, 100, 100), ("pointerdown", 2, 200, 100)
+    turned = camera_after(down[0], ("pointermove", 1, 140, 100), ("pointerup", 1, 140, 100))
+    assert np.array_equal(turned[:3], [0, 0, 1.6])
+    assert not np.allclose(turned[3:7], [0.5, -0.5, 0.5, -0.5], atol=0.01)
+    up = ("pointerup", 1, 0, 0), ("pointerup", 2, 0, 0)
+    parted = camera_after(*down, ("pointermove", 1, 90, 100), ("pointermove", 2, 210, 100), *up)
+    # Camera x forward: 20 px of spread are 0.4 m, and the middle of both fingers has not moved.
+    np.testing.assert_allclose(parted[:3], [0.4, 0, 1.6], atol=1e-6)
+    np.testing.assert_allclose(parted[3:7], [0.5, -0.5, 0.5, -0.5], atol=1e-6)
 
 
 def test_a_page_loads_nothing_and_is_little_more_than_its_scene(written):
     file, contents, _ = written
     text = file.read_text()
     assert " src=" not in text and "url(" not in text
-    assert "import" not in text.split('<script type="text/plain"')[0]
+    assert "@import" not in text.split('<script type="text/plain"')[0]
     assert file.stat().st_size < 1.4 * len(contents.scene.sog) + 3e6
+
+
+def test_base85_is_text_that_can_not_end_a_script():
+    data = bytes(range(256)) * 3 + b"end"
+    text = base85(data)
+    assert "<" not in text and len(text) == np.ceil(len(data) * 5 / 4)
+    assert base64.b85decode(text.replace(",", "<")) == data
+
+
+def test_wet_colors_keep_their_values():
+    """Colors beyond display black and white, and those far from the dry ones, have the same error as all others."""
+    rng = np.random.default_rng(3)
+    dry, wet = rng.uniform(-0.2, 1.2, (500, 1, 3)), rng.uniform(-0.9, 1.9, (500, 1, 3))
+    dry_sh, wet_sh = (sh_from_color(each[:, 0].astype(np.float32)) for each in (dry, wet))
+    files = wet_files(dry_sh, wet_sh)
+    meta = json.loads(files["meta.json"])["sh0"]
+    differences = np.asarray(Image.open(io.BytesIO(files["sh0.webp"])).convert("RGB")).reshape(-1, 3)[:500]
+    steps = (differences + np.array(meta["dry_steps"])[coded(dry_sh[:, 0])[1]]) % 256
+    found = SH_C0 * np.array(meta["codebook"])[steps] + 0.5
+    assert np.abs(found - wet[:, 0]).max() < 0.501 / WET_STEPS
 
 
 def test_actors_keep_their_numbers_and_poses(tmp_path):

@@ -174,8 +174,8 @@ class Format(NamedTuple):
     """Writes to exactly this path, a temporary one; None for read-only formats."""
     description: str
     """Half a sentence for the documentation: contents, versions."""
-    keeps_harmonics: bool = True
-    """True if colors may depend on the viewing direction."""
+    sh_degree: int = 3
+    """Highest degree of harmonics; with 0, colors do not depend on the viewing direction."""
     read_scene: Callable[[Path], Scene] | None = None
     """Reads more than Gaussians: layers, actors, rigs; None for formats that hold only Gaussians."""
     write_scene: Callable[[Scene, Path], None] | None = None

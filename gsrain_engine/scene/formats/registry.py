@@ -21,7 +21,7 @@ from ..transforms import flatten_scene, lost_when_flattened
 from ._common import Format, check_finite, checked_gaussians
 from .compressed_ply import write_compressed
 from .gltf import read_glb, write_glb
-from .ksplat import read_ksplat, read_splat, write_splat
+from .ksplat import read_ksplat, read_splat, write_ksplat, write_splat
 from .ply import read_ply, write_ply
 from .sog import read_sog
 from .sog_writer import write_sog
@@ -44,9 +44,16 @@ FORMATS = (
         "3D Gaussian Splatting, lossless, SH degree 0 to 3; ignores other properties. "
         "A comment marks antialiased Gaussians: `SplatRenderMode: mip` (Brush) or `antialiased 1` (Postshot)",
     ),
-    Format(".splat", read_splat, write_splat, "32 bytes per Gaussian, no view-dependent color", False),
+    Format(".splat", read_splat, write_splat, "32 bytes per Gaussian, no view-dependent color", 0),
     Format(".spz", read_spz, write_spz, "Niantic's, versions 1 to 4; version 4 is written"),
-    Format(".ksplat", read_ksplat, None, "GaussianSplats3D's, SH degree 0 to 2"),
+    Format(
+        ".ksplat",
+        read_ksplat,
+        write_ksplat,
+        "GaussianSplats3D's, levels 0 to 2, SH degree 0 to 2; "
+        "level 1 is written: 24 bytes per Gaussian plus its harmonics",
+        2,
+    ),
     Format(".sog", read_sog, write_sog, "PlayCanvas' images in a zip file; version 2 is written, in Morton order"),
     Format(
         ".glb",
@@ -153,8 +160,11 @@ def lost_in_file(scene: Scene, path: Path) -> list[str]:
     row, lost = format_of(path), lost_when_flattened(scene)
     if row is None:
         return lost
-    if not row.keeps_harmonics and any(each.gaussians.sh_degree for each in scene.members if each.visible):
+    highest = max((each.gaussians.sh_degree for each in scene.members if each.visible), default=0)
+    if highest > row.sh_degree == 0:
         lost.append(f"how colors depend on the direction of view ({row.suffix} has no place for it)")
+    elif highest > row.sh_degree:
+        lost.append(f"harmonics above degree {row.sh_degree} ({row.suffix} has no place for them)")
     return lost if row.lost is None else row.lost(lost)
 
 

@@ -12,14 +12,14 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int64, UInt8
 from PIL import Image
 
-from ..gaussians import Gaussians
+from ..gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
 from ..lod_order import morton_order
 from ._common import rounded_bytes, without_largest
 from .stored_zip import write_stored_zip
 
 _CODES = 256  # entries of a codebook: one per value of a byte
 _PALETTE_COLUMNS = 64
-_SMALLEST_PALETTE, _LARGEST_PALETTE = 1024, 65536  # half to all of the Gaussians, as PlayCanvas' own writer, in between
+_SMALLEST_PALETTE, LARGEST_PALETTE = 1024, 65536  # half to all of the Gaussians, as PlayCanvas' own writer, in between
 _COARSE_CELLS = 256
 _SAMPLES = 1 << 16  # Gaussians from which the coarse cells of a palette are found
 _COARSE_ROUNDS, _FINE_ROUNDS, _CODEBOOK_ROUNDS = 10, 6, 30  # of Lloyd's algorithm
@@ -39,10 +39,10 @@ def write_sog(gaussians: Gaussians, path: Path) -> None:
         raise ValueError("a SOG has ranges of at least one Gaussian; there is none to write")
     ordered = gaussians.take(morton_order(gaussians))
     n = len(ordered)
-    columns = -(-int(np.ceil(np.sqrt(n))) // 4) * 4
+    columns = image_columns(n)
     low, high, ranges = _encode_means(ordered.means)
-    log_scales, scales = _coded(np.log(np.maximum(ordered.scales, np.float32(1e-37))))
-    base_codes, base = _coded(ordered.sh[:, 0])
+    log_scales, scales = coded(np.log(np.maximum(ordered.scales, np.float32(1e-37))))
+    base_codes, base = coded(ordered.sh[:, 0])
     opacities = rounded_bytes(ordered.opacities * 255)[:, None]
     pixels = {
         "means_l.webp": low,
@@ -62,16 +62,31 @@ def write_sog(gaussians: Gaussians, path: Path) -> None:
     }
     if ordered.antialiased:
         meta["antialias"] = True
-    images = {name: _image(rows, columns) for name, rows in pixels.items()}
+    images = {name: lossless_image(rows, columns) for name, rows in pixels.items()}
     if ordered.sh_degree:
-        palette, labels = find_palette(ordered.sh[:, 1:].reshape(n, -1))
-        codes, entries = _coded(palette)
-        files = ["shN_centroids.webp", "shN_labels.webp"]
-        meta["shN"] = {"count": len(palette), "bands": ordered.sh_degree, "codebook": codes, "files": files}
-        entries = entries.reshape(len(palette) * (ordered.sh.shape[1] - 1), 3)
-        images[files[0]] = _image(entries, _PALETTE_COLUMNS * (ordered.sh.shape[1] - 1))
-        images[files[1]] = _image(np.stack([labels & 255, labels >> 8], axis=1).astype(np.uint8), columns)
+        meta["shN"], harmonics = encode_harmonics(ordered.sh, LARGEST_PALETTE)
+        images |= harmonics
     write_stored_zip(path, {**images, "meta.json": msgspec.json.encode(meta)})
+
+
+def image_columns(n: int) -> int:
+    """Width in pixels of the images with one pixel per Gaussian."""
+    return -(-int(np.ceil(np.sqrt(n))) // 4) * 4
+
+
+def encode_harmonics(sh: Float32[np.ndarray, "n k 3"], largest: int) -> tuple[dict[str, Any], dict[str, bytes]]:
+    """`shN` of a description, and its images, for the harmonics above degree 0: at most `largest` vectors."""
+    n, others = len(sh), sh.shape[1] - 1
+    palette, labels = find_palette(sh[:, 1:].reshape(n, -1), largest)
+    codes, entries = coded(palette)
+    files = ["shN_centroids.webp", "shN_labels.webp"]
+    degree = COEFFICIENTS_OF_DEGREE.index(others + 1)
+    numbers = np.stack([labels & 255, labels >> 8], axis=1).astype(np.uint8)
+    images = {
+        files[0]: lossless_image(entries.reshape(len(palette) * others, 3), _PALETTE_COLUMNS * others),
+        files[1]: lossless_image(numbers, image_columns(n)),
+    }
+    return {"count": len(palette), "bands": degree, "codebook": codes, "files": files}, images
 
 
 def _encode_means(
@@ -90,7 +105,7 @@ def _encode_quaternions(quaternions: Float32[np.ndarray, "n 4"]) -> UInt8[np.nda
     return np.concatenate([components, (252 + largest)[:, None].astype(np.uint8)], axis=1)
 
 
-def _image(rows: UInt8[np.ndarray, "n c"], columns: int) -> bytes:
+def lossless_image(rows: UInt8[np.ndarray, "n c"], columns: int) -> bytes:
     """Lossless WebP of one pixel per row; the last row of the image is filled up."""
     pixels = np.zeros((-(-len(rows) // columns) * columns, 4), np.uint8)
     pixels[:, 3] = 255
@@ -104,7 +119,7 @@ def _image(rows: UInt8[np.ndarray, "n c"], columns: int) -> bytes:
 # Codebooks and palettes
 
 
-def _coded(values: Float32[np.ndarray, "n c"]) -> tuple[list[float], UInt8[np.ndarray, "n c"]]:
+def coded(values: Float32[np.ndarray, "n c"]) -> tuple[list[float], UInt8[np.ndarray, "n c"]]:
     """Codebook of 256 numbers for values, and the index of the nearest one for each."""
     codebook = find_codebook(values.ravel())
     return codebook.tolist(), nearest_codes(values, codebook)
@@ -133,24 +148,26 @@ def nearest_codes(values: Float32[np.ndarray, "n c"], codebook: Float32[np.ndarr
     return np.searchsorted((codebook[1:] + codebook[:-1]) / 2, values).astype(np.uint8)
 
 
-def find_palette(rows: Float32[np.ndarray, "n d"]) -> tuple[Float32[np.ndarray, "k d"], Int64[np.ndarray, " n"]]:
+def find_palette(
+    rows: Float32[np.ndarray, "n d"], largest: int = LARGEST_PALETTE
+) -> tuple[Float32[np.ndarray, "k d"], Int64[np.ndarray, " n"]]:
     """Vectors that stand for rows, and the index of the one for each row.
 
     Equal rows, such as those of Gaussians without harmonics, count once. k is a power of 2 between half of the rows and
-    all, 1024 to 65536, or all if there are fewer. Rows are divided into 256 coarse cells and each of these on its own,
-    so that the time grows with n sqrt(k), not n k (Lloyd 1982).
+    all, 1024 to `largest` (at most 65536), or all if there are fewer. Rows are divided into 256 coarse cells and each
+    of these on its own, so that the time grows with n sqrt(k), not n k (Lloyd 1982).
     """
     whole = np.ascontiguousarray(rows).view(np.dtype((np.void, rows.dtype.itemsize * rows.shape[1]))).ravel()
     _, first_of, number_of = np.unique(whole, return_index=True, return_inverse=True)
-    palette, labels = _palette_of_distinct(rows[first_of])
+    palette, labels = _palette_of_distinct(rows[first_of], largest)
     return palette, labels[number_of]
 
 
 def _palette_of_distinct(
-    rows: Float32[np.ndarray, "n d"],
+    rows: Float32[np.ndarray, "n d"], largest: int
 ) -> tuple[Float32[np.ndarray, "k d"], Int64[np.ndarray, " n"]]:
     n = len(rows)
-    size = min(n, _LARGEST_PALETTE, max(_SMALLEST_PALETTE, 1 << (n.bit_length() - 1)))
+    size = min(n, largest, max(_SMALLEST_PALETTE, 1 << (n.bit_length() - 1)))
     if size == n:
         return rows, np.arange(n)
     samples = rows[:: -(-n // _SAMPLES)]
