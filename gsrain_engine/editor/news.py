@@ -1,4 +1,4 @@
-"""What is new in this version, in a few lines: the group "In short" of the newest section of CHANGELOG.md."""
+"""News of this version in a few lines: the group "In short" of the newest section of CHANGELOG.md."""
 
 from typing import NamedTuple
 

@@ -39,7 +39,7 @@ class Journey:
     folded_actions: int
     """With the panels folded to a strip, as in a small window."""
     dpi_2: bool
-    """Whether it is played on screens of DPI 2, too."""
+    """True if it is played on screens of DPI 2, too."""
 
 
 JOURNEYS: list[Journey] = []
