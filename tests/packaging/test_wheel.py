@@ -33,8 +33,10 @@ def test_the_wheel_holds_every_file_of_every_package_and_nothing_else(in_wheel):
         "gsrain_engine/shaders/splat.frag", "gsrain_engine/sample_configs/rain/8.5.yaml", "app/icons/16.png",
         "gsrain/__init__.pyi", "gsrain/py.typed",
     } <= wanted  # fmt: skip
-    wheel = tomllib.loads((REPOSITORY / "pyproject.toml").read_text("utf-8"))["tool"]["hatch"]["build"]["targets"]["wheel"]
-    assert wheel["force-include"] == {"CHANGELOG.md": "gsrain_engine/CHANGELOG.md"}  # which What's new shows
+    build = tomllib.loads((REPOSITORY / "pyproject.toml").read_text("utf-8"))["tool"]["hatch"]["build"]
+    assert build["targets"]["wheel"]["force-include"] == {
+        "CHANGELOG.md": "gsrain_engine/CHANGELOG.md"
+    }  # which What's new shows
     assert wanted - in_wheel == set(), "left out of the wheel (by .gitignore?)"
     assert {path.split("/")[0] for path in in_wheel} == set(PACKAGES)
 
