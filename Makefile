@@ -76,7 +76,7 @@ fuzz: setup
 	$(RUN)/python -m tests.fuzz --minutes $(or $(MINUTES),10) $(READERS)
 
 pictures: setup
-	xvfb-run --auto-servernum --server-args="-screen 0 1440x1500x24" $(RUN)/python -m docs.take_pictures
+	xvfb-run --auto-servernum --server-args="-screen 0 2880x3000x24" $(RUN)/python -m docs.take_pictures
 	$(RUN)/python -m docs.render_pictures
 	$(RUN)/python -m docs.notebook_pictures
 	$(RUN)/python -m docs.browser_picture

@@ -4,6 +4,7 @@ import math
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
+from importlib.metadata import version
 from pathlib import Path
 
 import msgspec
@@ -43,18 +44,21 @@ _MARGIN = 16
 class Photographer:
     """A window on the street, driven by the test engine, and a camera."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, dpi_scale: float = 1.0) -> None:
         self.editor = Editor(load_scene("street"))
         self.editor.playback.clock.playing = False
-        self.editor.preferences.value = msgspec.structs.replace(self.editor.preferences.value, hint=False)
+        self.editor.preferences.value = msgspec.structs.replace(
+            self.editor.preferences.value, hint=False, known_version=version("gsrain")
+        )
         self.window = MainWindow(lambda: self.editor)
-        self._folder = folder
+        self._folder, self._dpi_scale = folder, dpi_scale
 
     def run(self, script: Callable[[], None]) -> None:
         """Open the window, do what the script says, close it."""
         parameters = self.window.parameters()
         parameters.ini_disable = True
         parameters.app_window_params.window_geometry.size = _SIZE
+        parameters.dpi_aware_params.dpi_window_size_factor = self._dpi_scale
 
         def act(ctx: imgui.test_engine.TestContext) -> None:
             self.ctx = ctx
@@ -97,25 +101,26 @@ class Photographer:
 
     def take(self, name: str, window: str | None = None, width: int | None = None, *, trimmed: bool = False) -> None:
         """Picture a window of the program, or all of it, for the guide; at most so wide, without empty rows below."""
+        picture = self.picture(window, trimmed=trimmed)
+        if width is not None:
+            picture.thumbnail((width, width))
+        _save(picture, name, _QUALITY)
+
+    def picture(self, window: str | None = None, *, trimmed: bool = False) -> Image.Image:
+        """Picture a window of the program, or all of it; without empty rows below if trimmed."""
         for job in self.editor.jobs.notices:
             job.is_noticed = True
         self.frames()
         self.rest()
-        taken = self._folder / f"{name}.png"
+        taken = self._folder / "picture.png"
         testing.capture(self.ctx, str(taken), window=window)
-        IMAGES.mkdir(exist_ok=True)
         picture = Image.open(taken).convert("RGB")
         if window is not None:
             place = imgui.internal.find_window_by_name(window).rect()
             left, top = min(place.min.x, _MARGIN), min(place.min.y, _MARGIN)
             width_px, height_px = place.max.x - place.min.x, place.max.y - place.min.y
             picture = picture.crop((left, top, left + width_px, top + height_px))
-        if trimmed:
-            picture = picture.crop((0, 0, picture.width, _filled_px(picture)))
-        if width is not None:
-            picture.thumbnail((width, width))
-        picture.save(IMAGES / f"{name}.jpg", quality=_QUALITY, optimize=True)
-        print(f"docs/images/{name}.jpg")
+        return picture.crop((0, 0, picture.width, _filled_px(picture))) if trimmed else picture
 
     def take_panels(self, *titles: str) -> None:
         """Picture panels, each as `panel_ITS_TITLE`, in a window that is high enough for the whole of most."""
@@ -288,6 +293,65 @@ def picture_drive(camera: Photographer) -> None:
     editor.viewport.go_home()
 
 
+# Sheets of all panels, in both themes and two scales
+
+_SHEET_WIDTH = 1600
+_SHEET_COLUMNS = 4
+_GAP = 12
+_SHEET_QUALITY = 80
+
+
+def picture_themes(folder: Path) -> None:
+    """Each panel in the dark and the light theme, at DPI 1 and 2: a sheet for each of the four."""
+    for dpi_scale in (1.0, 2.0):
+        camera = Photographer(folder, dpi_scale)
+        camera.run(lambda camera=camera, dpi_scale=dpi_scale: _take_sheets(camera, dpi_scale))
+
+
+def _take_sheets(camera: Photographer, dpi_scale: float) -> None:
+    editor = camera.editor
+    editor.viewport.options.shrink = 4  # the picture is not in these
+    editor.document.change_rain("8.5 mm/h", intensity_mm_h=8.5)
+    editor.viewport.options.member = "layers/houses"
+    editor.calibration.measure()
+    while editor.calibration.busy is not None:
+        camera.frames(1)
+    width, height = _FOR_PANELS
+    hello_imgui.change_window_size((round(dpi_scale * width), round(dpi_scale * height)))
+    for theme in ("dark", "light"):
+        editor.preferences.value = msgspec.structs.replace(editor.preferences.value, theme=theme)
+        pictures = list[Image.Image]()
+        for panel in BUILT_IN_PANELS:
+            camera.ctx.window_focus(f"//{panel.id or panel.title}")
+            pictures.append(camera.picture(panel.id or panel.title, trimmed=True))
+        _save(_sheet(pictures), f"panels_{theme}_dpi{dpi_scale:g}", _SHEET_QUALITY)
+
+
+def _sheet(pictures: Sequence[Image.Image]) -> Image.Image:
+    """Put pictures of panels below each other in columns of one width; wide ones span several."""
+    column_px = (_SHEET_WIDTH - (_SHEET_COLUMNS + 1) * _GAP) // _SHEET_COLUMNS
+    narrow_px = min(each.width for each in pictures)
+    ends, places = [_GAP] * _SHEET_COLUMNS, list[tuple[Image.Image, int, int]]()
+    for picture in sorted(pictures, key=lambda each: -each.height):
+        span = min(max(round(picture.width / narrow_px), 1), _SHEET_COLUMNS)
+        first = min(range(_SHEET_COLUMNS - span + 1), key=lambda at: max(ends[at : at + span]))
+        width = span * column_px + (span - 1) * _GAP
+        small = picture.resize((width, round(picture.height * width / picture.width)), Image.Resampling.LANCZOS)
+        top = max(ends[first : first + span])
+        places.append((small, _GAP + first * (column_px + _GAP), top))
+        ends[first : first + span] = [top + small.height + _GAP] * span
+    sheet = Image.new("RGB", (_SHEET_WIDTH, max(ends)), (128, 128, 128))
+    for picture, left, top in places:
+        sheet.paste(picture, (left, top))
+    return sheet
+
+
+def _save(picture: Image.Image, name: str, quality: int) -> None:
+    IMAGES.mkdir(exist_ok=True)
+    picture.save(IMAGES / f"{name}.jpg", quality=quality, optimize=True)
+    print(f"docs/images/{name}.jpg")
+
+
 def _filled_px(picture: Image.Image) -> int:
     """Height of a panel's picture down to its last row that differs from the empty one at its lower edge."""
     pixels = np.asarray(picture)[:-_MARGIN].astype(int)
@@ -305,7 +369,7 @@ def _file_name(title: str) -> str:
 
 
 def main() -> None:
-    """Take all pictures, or those of the groups that are named: panels, tools, pages, wet, capture, drive."""
+    """Take all pictures, or those of the groups that are named: panels, tools, pages, wet, capture, drive, themes."""
     groups = {
         "panels": picture_panels,
         "tools": picture_tools,
@@ -314,11 +378,14 @@ def main() -> None:
         "capture": picture_capture,
         "drive": picture_drive,
     }
-    wanted = sys.argv[1:] or list(groups)
+    wanted = sys.argv[1:] or [*groups, "themes"]
     use_kernel_cache()
     with tempfile.TemporaryDirectory() as folder:
-        camera = Photographer(Path(folder))
-        camera.run(lambda: [groups[name](camera) for name in wanted] and None)
+        if in_one_window := [name for name in wanted if name != "themes"]:
+            camera = Photographer(Path(folder))
+            camera.run(lambda: [groups[name](camera) for name in in_one_window] and None)
+        if "themes" in wanted:
+            picture_themes(Path(folder))
 
 
 if __name__ == "__main__":

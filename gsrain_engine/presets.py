@@ -11,19 +11,19 @@ from .safe_io.text_files import read_whole, yaml_values
 _Config = TypeVar("_Config")
 
 
-def shipped_folder(name: str) -> Path:
-    """Return the folder `shaders` or `sample_configs`.
+def shipped_path(name: str) -> Path:
+    """Return the folder `shaders` or `sample_configs`, or the file `CHANGELOG.md`.
 
     An installed program has them inside this package; in a source tree they are its siblings.
     """
     package = Path(__file__).parent
     inside = package / name
-    return inside if inside.is_dir() else package.parent / name
+    return inside if inside.exists() else package.parent / name
 
 
 def shipped_config_names(folder: str) -> list[str]:
     """Names of the shipped files of a folder, in alphabetical order."""
-    files = (shipped_folder("sample_configs") / folder).iterdir()
+    files = (shipped_path("sample_configs") / folder).iterdir()
     return sorted(file.name.removesuffix(".yaml") for file in files if file.name.endswith(".yaml"))
 
 
@@ -43,7 +43,7 @@ def load_config(
     shipped, path = shipped_config_names(folder), Path(name)
     is_shipped = str(name) in shipped
     if is_shipped:
-        data = (shipped_folder("sample_configs") / folder / f"{name}.yaml").read_bytes()
+        data = (shipped_path("sample_configs") / folder / f"{name}.yaml").read_bytes()
     elif path.exists():
         data = read_whole(path)
     else:

@@ -17,7 +17,7 @@ from app.main import OLD_OPTIONS, app, benchmarks, evaluations, run
 from app.schema import SETTINGS, Kind, settings_type
 from gsrain_engine.disdrometer.tables import TableColumns
 from gsrain_engine.fields import field_of, fields_of, option_names, structs_of
-from gsrain_engine.presets import shipped_folder
+from gsrain_engine.presets import shipped_path
 from gsrain_engine.rain.settings import RainSettings
 from repository import REPOSITORY
 from ui.commands.table import SHELL_COMMANDS
@@ -137,11 +137,11 @@ def test_fields_have_bounds_default_and_option(name, range, default, options):
 
 @pytest.mark.parametrize("kind", get_args(Kind))
 def test_shipped_files_fit_their_schema(kind, capsys):
-    assert set(SETTINGS) == set(get_args(Kind)) == {each.name for each in shipped_folder("sample_configs").iterdir()}
+    assert set(SETTINGS) == set(get_args(Kind)) == {each.name for each in shipped_path("sample_configs").iterdir()}
     assert run(["schema", kind]) == 0
     schema = json.loads(capsys.readouterr().out)
     objects = [schema["$defs"][each["$ref"].rpartition("/")[2]] for each in schema.get("anyOf", [schema])]
-    for file in (shipped_folder("sample_configs") / kind).iterdir():
+    for file in (shipped_path("sample_configs") / kind).iterdir():
         names = set(yaml.safe_load(file.read_bytes()) or {})
         assert any(set(each["required"]) <= names <= set(each["properties"]) for each in objects), file
 

@@ -3,6 +3,8 @@
 import os
 import shutil
 import signal
+from contextlib import contextmanager
+from importlib.metadata import version
 
 import numpy as np
 import pytest
@@ -19,6 +21,7 @@ testing = pytest.importorskip("imgui_bundle.immapp.testing")
 imgui = pytest.importorskip("imgui_bundle").imgui
 hello_imgui = pytest.importorskip("imgui_bundle").hello_imgui
 
+from ui.panels.registry import all_panels  # noqa: E402
 from ui.window import MainWindow  # noqa: E402
 
 
@@ -32,10 +35,14 @@ class Driver:
         self.folder = tmp_path
         self.size_px, self.dpi_scale = (1100, 720), 1.0
         self.ctx = None
+        self.actions = 0
+        """Clicks, drags, keys and typed values up to now."""
         self._is_seen = False
 
     def run(self, script):
-        self.editor.preferences.value = replace(self.editor.preferences.value, desktop_dialogs=False, hint=False)
+        self.editor.preferences.value = replace(
+            self.editor.preferences.value, desktop_dialogs=False, hint=False, known_version=version("gsrain")
+        )
         parameters = self.window.parameters()
         parameters.ini_disable = True
         parameters.app_window_params.window_geometry.size = self.size_px
@@ -102,23 +109,65 @@ class Driver:
         """Draw no frames that would only take the processor from a worker which has nothing to say yet."""
         self.editor.jobs.wait(0.1)
 
+    @contextmanager
+    def journey(self, actions):
+        """Count what a hand does meanwhile: it is as many clicks, drags, keys and typed values as stated."""
+        before = self.actions
+        yield
+        assert self.actions - before == actions
+
+    def panel(self, title):
+        """Bring a panel to the front, by its tab or its name in a small window's strip; returns where its items are."""
+        panel, folded = next(each for each in all_panels() if each.title == title), self.window.workspace.folded
+        if panel.window_name in folded.hidden:
+            if folded.open != panel.window_name:
+                self.tap(f"//**/###fold {panel.window_name}")
+            return f"//###open panel/{panel.window_name}/"
+        window = self.ctx.window_info(f"//{panel.id or title}").window
+        self.actions += window.hidden  # a click on its tab
+        self.ctx.window_focus(f"//{panel.id or title}")
+        self.frames()
+        return f"//{panel.id or title}/"
+
     def click(self, item):
         self.ctx.window_focus("//" + item.split("/")[2])  # bring its tab to the front
         self.frames()
         self.ctx.item_click(item)
+        self.actions += 1
         self.frames()
 
     def tap(self, item):
         """Click an item of a window that is in front."""
         self.ctx.item_click(item)
+        self.actions += 1
+        self.frames(3)
+
+    def double_click(self, item):
+        self.ctx.item_double_click(item)
+        self.actions += 1
+        self.frames(3)
+
+    def choose(self, item, choice):
+        """Open a list, and click on one of its rows."""
+        self.tap(item)
+        self.tap(f"//{self.ctx.window_info('//$FOCUSED').window.name}/**/{choice}")
+
+    def menu(self, place):
+        """Click through a menu, as "Rain/Heavy 12 mm/h"."""
+        self.ctx.set_ref("//##MainMenuBar")
+        self.ctx.menu_click(place)
+        self.ctx.set_ref("")
+        self.actions += place.replace("\\/", "").count("/") + 1
         self.frames(3)
 
     def type_in(self, item, value):
         self.ctx.item_input_value(item, value)
+        self.actions += 1
         self.frames()
 
     def drag(self, item, pixels):
         self.ctx.item_drag_with_delta(item, pixels)
+        self.actions += 1
         self.frames()
 
     def area(self, item="//View/view"):
@@ -145,11 +194,13 @@ class Driver:
     def click_at(self, place, button=0):
         self.point_at(place)
         self.ctx.mouse_click(button)
+        self.actions += 1
         self.frames()
 
     def stroke(self, *places, held=(), button=0, lets_go=True):
         """Press at the first place of the screen, go through the others, and let go; keys are held meanwhile."""
         self.point_at(places[0])
+        self.actions += 1
         for key in held:
             self.ctx.key_down(key)
         self.frames()
@@ -164,12 +215,16 @@ class Driver:
             self.ctx.key_up(key)
         self.frames()
 
-    def choose_file(self, title, path, button="Save"):
-        """Type a place into a file dialog."""
+    def choose_file(self, title, path):
+        """Type a place into a file dialog, with Enter."""
         self.frames(3)
         self.ctx.item_click(f"//{title}/##name")
-        self.ctx.key_chars_replace(str(path))
-        self.ctx.item_click(f"//{title}/{button}")
+        self.enter(str(path))
+
+    def enter(self, text):
+        """Type into the field that has the focus, with Enter."""
+        self.ctx.key_chars_replace_enter(text)
+        self.actions += 1
         self.frames(3)
 
     def is_open(self, title):
@@ -179,6 +234,7 @@ class Driver:
 
     def press(self, chord):
         self.ctx.key_press(chord)
+        self.actions += 1
         self.frames()
 
     def screen(self):

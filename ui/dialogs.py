@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
-from functools import partial
+from functools import cache, partial
 from importlib.metadata import version
 from typing import NamedTuple
 
@@ -10,6 +10,7 @@ from imgui_bundle import ImVec2, imgui
 
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.files import Files
+from gsrain_engine.editor.news import News, read_news
 from gsrain_engine.editor.status import Answer, Question, StatusBus
 from gsrain_engine.editor.viewport_state import ViewportState
 
@@ -50,6 +51,31 @@ def about_page(viewport: ViewportState) -> None:
             )
             imgui.text(f"Drawn by: {viewport.backend or 'nothing yet'}")
             imgui.text_wrapped("docs/physics.md gives each equation with its source.")
+
+
+def news_page(viewport: ViewportState) -> None:
+    """Draw what is new in this version."""
+    with _page(viewport, "news", "What's new", ImVec2(40 * imgui.get_font_size(), 0)) as is_open:
+        if not is_open:
+            return
+        news = _news()
+        imgui.text_disabled(f"GSRAIN {version('gsrain')}: {news.heading}")
+        imgui.spacing()
+        for each in news.lines:
+            imgui.bullet()
+            imgui.text_wrapped(each)
+        imgui.spacing()
+        if imgui.button("Close###close news"):
+            viewport.options.dialog = ""
+            imgui.close_current_popup()
+
+
+@cache
+def _news() -> News:
+    try:
+        return read_news()
+    except OSError as error:
+        return News(f"CHANGELOG.md can't be read: {error.strerror or error}", ())
 
 
 _MOUSE_AND_FLIGHT = [
@@ -156,9 +182,11 @@ def _chosen_answer(question: Question) -> Answer | None:
                 imgui.set_nav_cursor_visible(question.enter_answers)
         keys = {0: " (Enter)" if question.enter_answers else "", len(question.answers) - 1: " (Escape)"}.get(n, "")
         imgui.set_item_tooltip(f"{answer.help or answer.label}{keys}")
-    if imgui.is_key_pressed(imgui.Key.escape):
+    if imgui.is_window_appearing():  # Enter and Escape have closed a dialog in this frame, and answer nothing yet
+        return clicked
+    if imgui.is_key_pressed(imgui.Key.escape, repeat=False):
         return question.answers[-1]
-    is_entered = imgui.is_key_pressed(imgui.Key.enter) or imgui.is_key_pressed(imgui.Key.keypad_enter)
+    is_entered = any(imgui.is_key_pressed(each, repeat=False) for each in (imgui.Key.enter, imgui.Key.keypad_enter))
     return question.answers[0] if clicked is None and is_entered and question.enter_answers else clicked
 
 

@@ -356,7 +356,7 @@ class Files:
     def export_to(self, path: Path) -> None:
         """Write a single file of everything visible, a copy: the document keeps its path and its unsaved changes.
 
-        Asks first about losses in the format and about replacing a file.
+        Asks first about losses in the format and about replacing a file. Nothing is written into the document's folder.
         """
         try:
             row = format_of(path)
@@ -367,6 +367,9 @@ class Files:
             *first, last = writable_suffixes()
             kinds = f"{', '.join(first)} or {last}"
             self._status.report(f"{path}: Export writes one file, whose name ends in {kinds}.")
+            return
+        if self.home is not None and path.resolve().is_relative_to(self.home):
+            self._status.report(f"{path} is in the folder of the open scene, which Save writes: choose another place.")
             return
         scene = saved_scene(self._viewport)
         if self._document.rain == load_preset("clear"):

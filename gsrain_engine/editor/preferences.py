@@ -91,6 +91,8 @@ class Preferences(msgspec.Struct, frozen=True, kw_only=True):
             extra={"unit": "s"},
         ),
     ] = 20.0
+    known_version: str = ""
+    """Last version whose changes were offered; empty before the first one."""
     hint: Annotated[bool, Meta(title="First steps", description="Show the first steps in the viewport.")] = True
     desktop_dialogs: Annotated[
         bool,

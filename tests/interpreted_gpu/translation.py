@@ -5,7 +5,7 @@ import re
 from dataclasses import dataclass
 from functools import lru_cache
 
-from gsrain_engine.presets import shipped_folder
+from gsrain_engine.presets import shipped_path
 from gsrain_engine.render.opengl import shaders
 
 from .values import (
@@ -108,7 +108,7 @@ def _places(text):
     lines = text.split("\n")
     defined = itertools.takewhile(lambda line: line.startswith("#define"), lines[1:])
     switches = {line.split()[1]: int(line.split()[2]) for line in defined if line.split()[-1].isdigit()}
-    for file in shipped_folder("shaders").iterdir():
+    for file in shipped_path("shaders").iterdir():
         if file.name.endswith(".comp"):
             source = shaders.ShaderSource(file.name, switches)
             if source.text == text:

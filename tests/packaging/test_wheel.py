@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from gsrain_engine.presets import shipped_config_names, shipped_folder
+from gsrain_engine.presets import shipped_config_names, shipped_path
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PACKAGES = ("app", "ui", "gsrain", "gsrain_engine")
@@ -33,12 +33,16 @@ def test_the_wheel_holds_every_file_of_every_package_and_nothing_else(in_wheel):
         "gsrain_engine/shaders/splat.frag", "gsrain_engine/sample_configs/rain/8.5.yaml", "app/icons/16.png",
         "gsrain/__init__.pyi", "gsrain/py.typed",
     } <= wanted  # fmt: skip
+    build = tomllib.loads((REPOSITORY / "pyproject.toml").read_text("utf-8"))["tool"]["hatch"]["build"]
+    assert build["targets"]["wheel"]["force-include"] == {
+        "CHANGELOG.md": "gsrain_engine/CHANGELOG.md"
+    }  # which What's new shows
     assert wanted - in_wheel == set(), "left out of the wheel (by .gitignore?)"
     assert {path.split("/")[0] for path in in_wheel} == set(PACKAGES)
 
 
 def test_data_is_found_in_a_checkout_and_where_it_is_installed(tmp_path, monkeypatch):
-    assert shipped_folder("shaders") == REPOSITORY / "shaders"
+    assert shipped_path("shaders") == REPOSITORY / "shaders"
     assert "published" in shipped_config_names("calibrations")
     (tmp_path / "gsrain_engine" / "sample_configs" / "calibrations").mkdir(parents=True)
     (tmp_path / "gsrain_engine" / "sample_configs" / "calibrations" / "own.yaml").touch()

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from given_rain import gaussians_of, given_rain
-from gsrain_engine.presets import shipped_folder
+from gsrain_engine.presets import shipped_path
 from gsrain_engine.rain.drop_field import CLASS_STRIDE, place_drops
 from gsrain_engine.rain.frame import RainCamera
 from gsrain_engine.rain.keyframes import RainKeyframe, RainKeyframes
@@ -57,7 +57,7 @@ def falling(time_s=12.3, travelled=(0.0, 0.0, 0.0), weather=None, anchor=ANCHOR,
 def test_every_drop_is_at_the_same_place_to_the_bit(context, time_s, travelled, changes):
     """From the first seconds to 10,000 s, and 10 km down the road."""
     field = falling(time_s, travelled=travelled, **changes)
-    body = (shipped_folder("shaders") / "common_drop_field.glsl").read_text()
+    body = (shipped_path("shaders") / "common_drop_field.glsl").read_text()
     shader = context.compute_shader(f"""#version 430
         layout(local_size_x = 256) in;
         {body}

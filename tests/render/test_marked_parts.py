@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gsrain_engine.presets import shipped_folder
+from gsrain_engine.presets import shipped_path
 from gsrain_engine.render.cpu import projection
 from gsrain_engine.render.cpu.compositing import color_operator
 from gsrain_engine.render.cpu.projection import FEW, project
@@ -122,7 +122,7 @@ def test_the_tint_is_half_of_what_is_selected_and_nothing_else(count):
 
 
 def test_shader_and_kernels_have_the_same_tint():
-    text = (shipped_folder("shaders") / "common_tint.glsl").read_text(encoding="utf-8")
+    text = (shipped_path("shaders") / "common_tint.glsl").read_text(encoding="utf-8")
     color, share = re.search(r"TINT = vec3\((.*)\)", text)[1], re.search(r"TINT_SHARE = ([\d.]+);", text)[1]
     assert tuple(map(float, color.split(","))) == projection.TINT
     assert float(share) == projection.TINT_SHARE

@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from gsrain_engine.presets import shipped_folder
+from gsrain_engine.presets import shipped_path
 from gsrain_engine.rain.frame import RainCamera
 from gsrain_engine.rain.properties import CLASSES
 from gsrain_engine.rain.settings import load_preset
@@ -273,7 +273,7 @@ def test_a_frame_in_rain_runs_every_shader_without_a_race(context, one_digit, ha
     assert (len(drops) < 120) == has_roofs
     assert len(drops) > 30
     tiles_of(interpreted, parts, rain)
-    files = {each.name: each for each in shipped_folder("shaders").iterdir() if each.name.endswith(".comp")}
+    files = {each.name: each for each in shipped_path("shaders").iterdir() if each.name.endswith(".comp")}
     assert interpreted.shaders_run == set(files) - SEEN_ELSEWHERE
     assert all("// No races: " in each.read_text() for each in files.values())
 

@@ -49,7 +49,10 @@ def test_a_scenario_is_changed_saved_and_driven_from_the_panel(driver, tmp_path)
         driver.ctx.combo_click("##rain/one intensity")
         driver.frames()
         driver.type_in("##intensity_mm_h", 5.0)
-        driver.ctx.item_click("###drive")
+        driver.ctx.set_ref("")
+        driver.panel("Rain")
+        with driver.journey(2):
+            driver.tap(f"{driver.panel('Drive')}###drive")
         driver.until(lambda: len(editor.jobs.all) == 1)
         job = editor.jobs.all[0]
         driver.until(lambda: job.state != "running" and not drives.is_working, 100_000)

@@ -91,26 +91,6 @@ def test_the_selection_is_dragged_and_escape_takes_it_back(driver):
     driver.run(script)
 
 
-def test_two_clicks_measure_and_a_true_length_sets_the_meter(driver):
-    editor = driver.editor
-
-    def script():
-        use(driver, "Measure")
-        here = editor.viewport.navigation.position.copy()
-        for y in (-2.0, 2.0):
-            driver.click_at(driver.on_screen([12.0, y, 0.0]))
-        first, second = driver.tool("Measure").points_m
-        assert np.linalg.norm(second - first) == pytest.approx(4, abs=0.3)
-        assert np.array_equal(editor.viewport.navigation.position, here)
-        driver.type_in("**/##true length", 8.0)
-        driver.tap("**/Set scale")
-        assert editor.document.scene.metres_per_unit == pytest.approx(8 / np.linalg.norm(second - first))
-        assert editor.document.history.undo_label == "Set the scale"
-        assert editor.viewport.navigation.position == pytest.approx(editor.document.scene.metres_per_unit * here)
-
-    driver.run(script)
-
-
 def test_a_face_of_the_crop_box_is_dragged_and_applied(driver):
     editor = driver.editor
 

@@ -28,26 +28,6 @@ def key(driver, *keys):
     driver.press(chord(*keys))
 
 
-def test_saving_asks_for_a_place_once_and_a_star_tells_of_changes(driver, tmp_path):
-    home = tmp_path / "rainy"
-
-    def script():
-        workspace = driver.window.workspace
-        assert workspace.title == "GSRAIN: small"
-        driver.click("//Rain/8.5")
-        assert workspace.title == "GSRAIN: small *"
-        key(driver, CTRL, imgui.Key.s)
-        driver.choose_file("Save the scene", home)
-        driver.until(lambda: workspace.title == "GSRAIN: small")
-        assert read_scene(home).rain["intensity_mm_h"] == 8.5
-        driver.click("//Rain/12.0")
-        key(driver, CTRL, imgui.Key.s)
-        driver.until(lambda: not driver.editor.files.has_changes)
-        assert read_scene(home).rain["intensity_mm_h"] == 12.0
-
-    driver.run(script)
-
-
 def test_leaving_with_changes_asks_and_nothing_else_goes_on_meanwhile(driver):
     screens = []
 
@@ -136,7 +116,8 @@ def test_what_was_kept_is_recovered_and_a_change_on_the_disk_is_asked_about(tmp_
         editor = driver.editor
         driver.until(lambda: editor.status.question is not None)
         driver.frames(3)
-        driver.ctx.item_click("//Recover unsaved changes/Recover")
+        with driver.journey(1):
+            driver.tap("//Recover unsaved changes/Recover")
         driver.until(lambda: editor.files.has_changes and editor.busy is None)
         assert editor.document.scene.layers[0].marks.deleted.size == 100
         values = json.loads((home / "scene.json").read_text())

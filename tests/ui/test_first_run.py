@@ -1,47 +1,40 @@
-"""First steps: from a file of Gaussians to rain in five clicks, and a hint that ends for good."""
+"""First steps: from a file of Gaussians to rain in four actions, a hint that ends, and news after an update."""
 
 from dataclasses import replace as with_fields
+from importlib.metadata import version
 
 import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from gsrain_engine.editor.news import news_in, read_news
 from gsrain_engine.editor.preferences import load_preferences
 from gsrain_engine.scene.formats.scene_files import write_scene
 from small_scene import small_scene
 
 
-def test_a_file_of_gaussians_becomes_a_rainy_scene_in_five_clicks(driver, tmp_path):
+def test_a_file_of_gaussians_becomes_a_rainy_scene_in_four_actions(driver, tmp_path):
     file = tmp_path / "own.ply"
     write_scene(with_fields(small_scene(), ego=None, rigs={}), file)
-    clicks = []
-
-    def click(item):
-        clicks.append(item)
-        driver.tap(item)
 
     def script():
         editor = driver.editor
         editor.files.close_scene()
         driver.until(lambda: not editor.document.scene.members and editor.busy is None)
         driver.frames(3)
-        click("//**/###Open...")
-        driver.ctx.item_click("//Open a scene/##name")
-        driver.ctx.key_chars_replace(str(file))
-        click("//Open a scene/Open")
-        driver.until(lambda: editor.document.scene.members and editor.busy is None)
-        driver.frames(3)
-        assert editor.scene_setup.is_open and editor.scene_setup.axis == "-y"
-        click("//**/###guess")
-        assert editor.status.problem is None
-        scene = editor.document.scene
-        assert editor.document.history.labels == ["Open", "Guess the orientation"]
-        road = scene.part(scene.layers[0])
-        assert scene.ground_m is not None and np.linalg.norm(scene.up) == pytest.approx(1)
-        assert road is not None
-        click("//**/###rain")
+        with driver.journey(4):
+            driver.tap("//**/###Open...")
+            driver.choose_file("Open a scene", file)
+            driver.until(lambda: editor.document.scene.members and editor.busy is None)
+            driver.frames(3)
+            assert editor.scene_setup.is_open and editor.scene_setup.axis == "-y"
+            driver.tap("//**/###guess")
+            assert editor.status.problem is None
+            assert editor.document.history.labels == ["Open", "Guess the orientation"]
+            scene = editor.document.scene
+            assert scene.ground_m is not None and np.linalg.norm(scene.up) == pytest.approx(1)
+            driver.tap("//**/###rain")
         assert editor.document.rain.intensity_mm_h == 5.0 and not editor.scene_setup.is_open
-        assert len(clicks) <= 5
 
         # What was guessed is corrected: another axis, a known length.
         editor.scene_setup.is_open = True
@@ -75,4 +68,22 @@ def test_the_hint_of_three_steps_ends_for_good(driver, tmp_path):
         driver.tap("//**/###end hint")
         driver.until(lambda: not load_preferences()[0].hint)
 
+        # After an update, what is new is offered in its place, once.
+        editor.preferences.set(known_version="0.0.1")
+        driver.frames(3)
+        driver.tap("//**/###read news")
+        assert driver.is_open("What's new")
+        driver.tap("//What's new/###close news")
+        driver.until(lambda: load_preferences()[0].known_version == version("gsrain"))
+        assert not driver.is_open("What's new") and not driver.ctx.item_exists("//**/###read news")
+
     driver.run(script)
+
+
+def test_the_news_are_the_short_group_of_the_newest_changes():
+    changes = (
+        "# Changes\n\n## 1.2\n\nIn short\n* Rain at\n  `night`.\n* *Record* is faster.\n\nFiles\n* More.\n\n## 1.1\n"
+    )
+    assert news_in(changes) == ("1.2", ("Rain at night.", "Record is faster."))
+    assert news_in("# Changes\n\n## 1.2\n\nFiles\n* More.\n\n## 1.1\n\nIn short\n* Old.\n").lines == ()
+    assert len(read_news().lines) > 3

@@ -34,7 +34,8 @@ def test_a_view_is_previewed_then_the_scene_made_rainy_compared_and_undone(drive
         rainy.preview_width_px = 96
         rainy.choice = msgspec.structs.replace(rainy.choice, count=2, width_px=64)
         clear, before = driver.picture(), editor.document.scene
-        driver.click(f"{PANEL}###preview")
+        with driver.journey(2):  # a view in rain
+            driver.tap(f"{driver.panel('Wet look')}###preview")
         assert rainy.why_not is None  # the job would wait for the preview
         driver.until(lambda: not editor.jobs.running, 1_000_000)
         driver.frames()
@@ -60,7 +61,9 @@ def test_a_view_is_previewed_then_the_scene_made_rainy_compared_and_undone(drive
         editor.jobs.clear()
 
         blue_sky = editor.live_rain.sky
-        driver.click(f"{PANEL}###make")
+        driver.panel("Rain")
+        with driver.journey(2):  # a wet scene
+            driver.tap(f"{driver.panel('Wet look')}###make")
         (job,) = editor.jobs.all
         driver.until(lambda: job in editor.viewport.job_previews or job.state != "running", 1_000_000)
         driver.until(lambda: job.state != "running" and editor.viewport.staged is None, 1_000_000)
@@ -70,7 +73,8 @@ def test_a_view_is_previewed_then_the_scene_made_rainy_compared_and_undone(drive
         assert all(each.wet_sh is not None for each in editor.document.scene.members)
 
         # Beside the clear scene, in rain that a step of its own brings.
-        driver.click(f"{PANEL}###compare")
+        with driver.journey(1):
+            driver.tap(f"{PANEL}###compare")
         assert editor.viewport.options.split == "clear | rainy"
         assert editor.document.rain.intensity_mm_h == make_rainy.COMPARED_MM_H
         compared = driver.picture()
@@ -183,10 +187,10 @@ def test_a_capture_becomes_a_scene_that_takes_on_the_look_of_pictures(drive, dri
         before = editor.document.scene
         editor.captures.open(drive / "drive")
         driver.until(lambda: editor.captures.capture is not None)
-        driver.ctx.window_focus("//Capture")
-        driver.ctx.item_open("//Capture/Reconstruct")
-        driver.frames()
-        driver.tap("//Capture/Reconstruct/Reconstruct")
+        driver.frames(3)
+        with driver.journey(2):  # a scene from an open capture
+            driver.tap(f"{driver.panel('Capture')}Reconstruct")
+            driver.tap("//Capture/Reconstruct/Reconstruct")
         (job,) = editor.jobs.all
         # Where it was started there is how far it is, and what is started next waits.
         assert driver.ctx.item_exists("//Capture/Reconstruct/Cancel##0")
@@ -241,10 +245,15 @@ def test_a_clip_is_recorded_while_the_window_goes_on(driver, tmp_path, monkeypat
     def script():
         editor = driver.editor
         driver.click("//Rain/8.5")
-        editor.render_queue.change(size_px=(480, 320), last_s=3.0)
+        editor.render_queue.change(size_px=(480, 320), fps=10.0)
         driver.ctx.window_focus("//View")
-        driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.r))
-        driver.choose_file("Record the timeline", target)
+        with driver.journey(6):  # a flight of 10 s as a video
+            driver.press(imgui.Key.k)
+            driver.type_in(f"{driver.panel('Timeline')}**/##time", 10.0)
+            driver.stroke(driver.at(0.5, 0.4), driver.at(0.54, 0.4), driver.at(0.56, 0.42), button=1)
+            driver.press(imgui.Key.k)
+            driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.r))
+            driver.choose_file("Record the timeline", target)
         driver.until(lambda: len(editor.jobs.all) == 1)
         job = editor.jobs.all[0]
         driver.ctx.window_focus("//Jobs")
@@ -295,7 +304,7 @@ def test_a_clip_is_recorded_while_the_window_goes_on(driver, tmp_path, monkeypat
 
     driver.run(script)
     with av.open(str(target)) as container:
-        assert sum(1 for _ in container.decode(video=0)) == 90
+        assert sum(1 for _ in container.decode(video=0)) == 100
 
 
 def test_steps_and_recordings_are_copied(driver, tmp_path):

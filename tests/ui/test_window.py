@@ -209,30 +209,6 @@ def test_keys_and_titles_mean_one_thing():
     assert len({panel.title for panel in BUILT_IN_PANELS}) == len(BUILT_IN_PANELS)
 
 
-def test_a_command_is_found_by_a_part_of_its_name_and_any_step_can_be_gone_to(driver):
-    editor = driver.editor
-
-    def script():
-        driver.click("//Rain/8.5")
-        driver.ctx.window_focus("//View")
-        driver.press(chord(_CTRL, imgui.Key.p))
-        driver.frames(3)
-        assert editor.viewport.options.dialog == "commands"
-        driver.ctx.key_chars("undo")
-        driver.frames(3)
-        driver.press(imgui.Key.enter)
-        driver.until(lambda: editor.document.rain.intensity_mm_h == 0)
-        driver.until(lambda: editor.viewport.options.dialog == "")
-        assert editor.document.history.redo_label == "Preset 8.5"
-        for name in ("1.2", "8.5", "12.0"):
-            driver.click(f"//Rain/{name}")
-        for item, intensity in (("Preset 1.2##1", 1.2), ("Preset 12.0##3", 12), ("Open##0", 0)):
-            driver.click(f"//History/{item}")
-            assert editor.document.rain.intensity_mm_h == intensity
-
-    driver.run(script)
-
-
 def test_layers_are_locked_copied_named_and_removed(driver):
     editor = driver.editor
 

@@ -142,7 +142,7 @@ def _fill_bar(fraction: float, words: str) -> None:
 
 # Log panel
 
-_COLORS = {logging.ERROR: ImVec4(0.95, 0.45, 0.38, 1.0), logging.WARNING: ImVec4(0.9, 0.62, 0.2, 1.0)}
+_COLORS = {logging.ERROR: ImVec4(0.95, 0.45, 0.38, 1.0), logging.WARNING: WARNING}
 _LEVELS = {logging.INFO: "all", logging.WARNING: "warnings", logging.ERROR: "errors"}
 
 

@@ -255,7 +255,7 @@ def _cameras(document: Document, render_queue: RenderQueue) -> None:
 def _times(render_queue: RenderQueue, playback: Playback) -> None:
     settings = render_queue.settings
     help_text = "Record the timeline's range, where its ends were dragged; else from and to below."
-    if (follows := checkbox("timeline's range", render_queue.follows_range, help_text)) != render_queue.follows_range:
+    if (follows := checkbox("Timeline's range", render_queue.follows_range, help_text)) != render_queue.follows_range:
         render_queue.follows_range = follows
     if follows and playback.clock.span_s is not None:
         imgui.same_line()
@@ -296,8 +296,9 @@ def _passes(render_queue: RenderQueue) -> None:
         if name != "labels":
             imgui.same_line()
     info = field_of(ExportSettings, "twin")
-    titles = {False: "no twin", "sunny": "twin: sunny", "overcast": "twin: overcast"}
-    if (twin := combo(f"{info.title}###twin", settings.twin, titles, info.help)) != settings.twin:
+    titles = {False: "none", "sunny": "sunny", "overcast": "overcast"}
+    plain_label(info.title, info.help)
+    if (twin := combo("##twin", settings.twin, titles)) != settings.twin:
         render_queue.change(twin=twin)
 
 

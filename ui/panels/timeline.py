@@ -15,6 +15,7 @@ from gsrain_engine.scene.camera_path_edit import ViewAngles, focal_length_mm, fo
 from gsrain_engine.scene.easing import Easing
 
 from ..commands.table import help_of
+from ..folding import show_panel
 from ..widgets import draw as hues
 from ..widgets.draw import color
 from ..widgets.fields import (
@@ -139,9 +140,10 @@ def _transport(editor: Editor) -> None:
 def _time(playback: Playback, end: float) -> None:
     if playback.timeline.asks_for_time:
         imgui.set_keyboard_focus_here()
-        playback.timeline.asks_for_time = False
     imgui.set_next_item_width(5.5 * imgui.get_font_size())
     typed = _typed_number("##time", playback.clock.time_s)
+    if imgui.is_item_active():  # a panel that has just opened takes the focus a frame later
+        playback.timeline.asks_for_time = False
     imgui.set_item_tooltip("Time of the scene in seconds: traffic, rain and camera path depend on it.")
     if typed is not None:
         playback.clock.seek(typed)
@@ -179,6 +181,12 @@ def _typed_number(name: str, value: float) -> float | None:
 
 _FRAME_RATES = (10.0, 24.0, 25.0, 30.0, 50.0, 60.0)
 _JSON = "Camera paths{.json},All files{.*}"
+
+
+def ask_for_time(playback: Playback) -> None:
+    """Bring the timeline to the front, with the keyboard in its field of the time."""
+    show_panel("Timeline")
+    playback.timeline.asks_for_time = True
 
 
 def ask_for_import(camera_path: CameraPathEditor) -> None:

@@ -1,5 +1,7 @@
-"""First steps over the viewport: the start card without a scene, a hint of three steps, and the bar of a new scene."""
+"""First steps over the viewport: start card, hint of three steps, news after an update, and the bar of a new scene."""
 
+from functools import cache
+from importlib.metadata import version
 from typing import get_args
 
 from imgui_bundle import ImVec2, imgui
@@ -19,7 +21,7 @@ from .notices import card
 _WIDTH_EM = 30.0
 _OFFERED = {
     "Open...": icons.ICON_FA_FOLDER_OPEN, "Open the built-in street": icons.ICON_FA_ROAD,
-    "Open a capture...": icons.ICON_FA_IMAGES,
+    "Open a capture...": icons.ICON_FA_IMAGES, "What's new": icons.ICON_FA_GIFT,
 }  # fmt: skip
 _TITLES = {"Open a capture...": "From images: open a capture, then reconstruct it..."}
 _MAX_RECENT = 6
@@ -82,6 +84,33 @@ def draw_hint(editor: Editor, corner: ImVec2, height: int) -> None:
             keys = f" ({command.key_names})" if command.key_names else ""
             if button(f"{mark}  {title}###step {number}", command.help + keys, width=-1):
                 command.perform(editor)
+
+
+# After an update, once
+
+
+def draw_update(editor: Editor, corner: ImVec2, height: int) -> None:
+    """Offer in the lower left corner what is new, until it was read or closed; newcomers see the first steps there."""
+    preferences = editor.preferences
+    if preferences.value.known_version == _version():
+        return
+    if preferences.value.hint:
+        preferences.set(known_version=_version())
+        return
+    row, padding = imgui.get_frame_height_with_spacing(), imgui.get_style().window_padding
+    imgui.set_cursor_screen_pos(ImVec2(corner.x + _MARGIN, corner.y + height - 2 * row - 2 * padding.y - _MARGIN))
+    with card("update", _HINT_EM * imgui.get_font_size(), imgui.Col_.popup_bg, 0.94, imgui.ChildFlags_.borders):
+        imgui.text(f"GSRAIN was updated to {_version()}.")
+        if is_read := button(f"{icons.ICON_FA_GIFT}  What's new###read news", "Show the changes in a few lines."):
+            editor.viewport.options.dialog = "news"
+        imgui.same_line()
+        if button("Close###close update", "Help > What's new shows them later.") or is_read:
+            preferences.set(known_version=_version())
+
+
+@cache
+def _version() -> str:
+    return version("gsrain")
 
 
 # Bar of a new scene: up axis, scale, ground, rain

@@ -20,7 +20,7 @@ from ..tools import TOOLS
 from ..tools.base import Tool
 from ..widgets.draw import Canvas, draw_lines, draw_point
 from ..widgets.fields import button
-from .first_run import draw_hint, draw_setup_bar, draw_start_card
+from .first_run import draw_hint, draw_setup_bar, draw_start_card, draw_update
 from .notices import card, draw_notices
 from .overlays import OVERLAYS, draw_divider, preview_side
 
@@ -71,6 +71,7 @@ def viewport_panel(editor: Editor, tools: Sequence[Tool], picture: DrawResult, f
         draw_setup_bar(editor, corner, left, width)
     if editor.preferences.value.hint:
         draw_hint(editor, corner, height)
+    draw_update(editor, corner, height)
     draw_notices(editor, corner, width, height)
     folded.draw(ImVec2(corner.x + width, corner.y), height)
     return width, height

@@ -254,7 +254,7 @@ def square_button(icon: str, name: str) -> bool:
 
 # Widgets with their tooltip in one call
 
-WARNING = ImVec4(1.0, 0.72, 0.3, 1.0)
+WARNING = ImVec4(0.86, 0.48, 0.06, 1.0)  # to be read on dark and on light panels
 CLAMPED = imgui.SliderFlags_.always_clamp
 LOGARITHMIC = imgui.SliderFlags_.logarithmic | imgui.SliderFlags_.always_clamp
 _Value = TypeVar("_Value")

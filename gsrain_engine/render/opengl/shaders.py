@@ -9,7 +9,7 @@ from typing import Any
 
 import moderngl
 
-from ...presets import shipped_folder
+from ...presets import shipped_path
 from .context import is_software
 
 _LONGEST_DISPATCH = 1 << 15
@@ -122,7 +122,7 @@ class ShaderSource:
 
 def read_shader(name: str) -> list[str]:
     """Read the lines of a shader file of the package."""
-    return (shipped_folder("shaders") / name).read_text(encoding="utf-8").splitlines()
+    return (shipped_path("shaders") / name).read_text(encoding="utf-8").splitlines()
 
 
 class GpuTimers:

@@ -73,6 +73,35 @@ def test_an_export_is_a_copy_and_the_document_stays_unsaved(sessions, home, tmp_
     assert editor.should_quit and files.home == (home if source == "folder" else tmp_path / "placed")
 
 
+def test_an_export_over_the_open_scene_loses_nothing(sessions, home, tmp_path):
+    flat = tmp_path / "flat.ply"
+    write_scene(small_scene(), flat)
+    editor, original = sessions(), flat.read_bytes()
+    editor.files.open(str(flat))
+    settle(editor)
+    count, deleted = editor.document.scene.gaussian_count, delete_every_third(editor)
+    editor.files.export_to(flat)
+    assert "flat.ply that is there already is replaced" in editor.status.question.text
+    answer(editor, "Cancel")
+    assert flat.read_bytes() == original
+    editor.files.export_to(flat)
+    answer(editor, "Export")
+    assert read_scene(flat).gaussian_count == count - len(deleted.indices) == editor.document.scene.gaussian_count
+    assert editor.files.has_changes and editor.status.problem is None
+    editor.document.undo()  # what was deleted is there still, and can be saved
+    assert editor.document.scene.gaussian_count == count
+
+    other = sessions()
+    other.files.open(str(home))
+    settle(other)
+    before = {file: file.read_bytes() for file in home.rglob("*") if file.is_file()}
+    for file in (next(each for each in before if each.suffix == ".ply"), home / "copy.ply"):
+        other.files.export_to(file)
+        settle(other)
+        assert str(file) in other.status.problem and other.status.question is None
+    assert {file: file.read_bytes() for file in home.rglob("*") if file.is_file()} == before
+
+
 def test_an_export_says_before_what_it_leaves_out(editor, tmp_path):
     scene = editor.document.scene
     path = CameraPath(np.zeros(1), np.zeros((1, 3)), np.array([[1.0, 0, 0, 0]]), np.full(1, 40.0))
