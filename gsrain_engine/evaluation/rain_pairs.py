@@ -24,8 +24,8 @@ _MIN_STILL = 0.4
 _DARK_LEVELS, _MIN_DARK = 96, 0.4
 _DRIP_PX = (4.0, 24.0)  # across and along a column of dripping water
 _DRIP_FACTOR, _DRIP_DARKER, _MAX_DRIPS = 5.0, 0.2, 0.004
-"""Where the third moment of changes is so many times that of other dark places, and that of darker changes at most such
-a share of it, water drips; share of a crop."""
+"""Water drips where the third moment of changes is so many times that of other dark places, and that of darker changes
+at most such a share of it; largest share of a crop."""
 _VEIL_PX = 63
 _TRIES = 300
 _LUMA = np.array([0.299, 0.587, 0.114], np.float32)

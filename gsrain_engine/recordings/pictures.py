@@ -24,7 +24,6 @@ from ..render.sky_color import sky_color
 from ..scene.camera import Camera
 from ..scene.geometry import linear_to_srgb, srgb_to_linear
 from ..scene.scene import Scene
-from .lens_views import LensView, lens_tangents, sampled
 
 Colors = UInt8[np.ndarray, "h w 3"]
 
@@ -65,8 +64,7 @@ class PhotoRain:
         if self._medium.state_at(view.time_s).is_clear:
             return photo
         shot = photo_view(self._world, self._capture, view)
-        wide = LensView.of(view, shot.camera)
-        shot = replace(shot, camera=wide.camera)
+        shot = replace(shot, camera=replace(shot.camera, lens=view.lens))
         distances = self._distances(view, photo)
         self.with_distances += distances is not None
         air = self._medium.frame(shot.time_s, rain_camera(self._world, self._medium, shot), self._sky)
@@ -74,7 +72,7 @@ class PhotoRain:
         rainfall = self._streaks if has_medium and self._medium.rain.haze == "medium" else self._gaussians
         falling = rainfall.frame(shot.time_s, rain_camera(self._world, rainfall, shot), self._sky)
         self._renderer.draw([], shot.camera, falling)
-        share = wide.through_lens(self._renderer.read().rgba[..., 3])[..., None].astype(np.float64)
+        share = self._renderer.read().rgba[..., 3:].astype(np.float64)
         decode: Callable[..., np.ndarray] = srgb_to_linear if falling.is_linear else np.asarray
         encode: Callable[..., np.ndarray] = linear_to_srgb if falling.is_linear else np.asarray
         behind = decode(photo.astype(np.float64) / 255)
@@ -128,11 +126,23 @@ class _Distances:
     def transmittance(self, medium: RainMedium, view: CaptureFrame) -> Float32[np.ndarray, "h w"]:
         """Share of light that each pixel of a view keeps in the medium."""
         camera, depth = self.camera, self.depth_m
-        rays = lens_tangents(CaptureFrame("", camera, np.zeros(0)))
-        points = np.concatenate([rays, np.ones((*depth.shape, 1), np.float32)], axis=-1) * depth[..., None]
+        points = np.dstack([_tangents(camera), np.ones_like(depth)]) * depth[..., None]
         near = medium.transmittance(np.maximum(points.reshape(-1, 3), -1e9)).reshape(depth.shape)
         behind = medium.sky_transmittance(camera.width, camera.height, (camera.fx, camera.fy, camera.cx, camera.cy))
-        return np.asarray(sampled(np.where(depth > 0, near, behind), camera, view), np.float32)
+        found = np.ascontiguousarray(np.where(depth > 0, near, behind), np.float32)
+        tangents = _tangents(replace(view.camera, lens=view.lens))
+        columns = tangents[..., 0] * np.float32(camera.fx) + np.float32(camera.cx - 0.5)
+        rows = tangents[..., 1] * np.float32(camera.fy) + np.float32(camera.cy - 0.5)
+        return cv2.remap(found, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+
+
+_LEAST_AHEAD = 0.1  # cosine of a ray to the axis: beyond 84 degrees, distances of the picture's edge go on
+
+
+def _tangents(camera: Camera) -> Float32[np.ndarray, "h w 2"]:
+    """Tangents x / z and y / z of the rays of a camera's pixels."""
+    directions = camera.rays.directions
+    return directions[..., :2] / np.maximum(directions[..., 2:], np.float32(_LEAST_AHEAD))
 
 
 # Light of the sky in photographs
@@ -186,8 +196,7 @@ class ScenePictures:
 
     def rainy(self, view: CaptureFrame, photo: Colors) -> Colors:
         self.written += 1
-        shot = ego_view(self._scene, view.camera.moved(self._scene.scene_to_world), view.time_s)
-        wide = LensView.of(view, shot.camera)
+        camera = replace(view.camera, lens=view.lens).moved(self._scene.scene_to_world)
         sky = self._sky.at(self._rainfall.overcast_at(view.time_s))
-        draw_view(self._renderer, self._scene, self._rainfall, sky, replace(shot, camera=wide.camera))
-        return wide.through_lens(self._renderer.read_uint8())
+        draw_view(self._renderer, self._scene, self._rainfall, sky, ego_view(self._scene, camera, view.time_s))
+        return self._renderer.read_uint8()

@@ -43,7 +43,7 @@ class Lens(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     max_angle_rad: float | None = None
     """Largest angle from the axis; None is where the polynomial stops to rise."""
     shear: tuple[float, float] = (0.0, 0.0)
-    """What the place across gains of that down, and the place down of that across."""
+    """Shares of the place down that are added to that across, and of the place across to that down."""
 
     def __post_init__(self) -> None:
         if self.model not in _COUNTS:
@@ -309,7 +309,7 @@ _GRID = 64  # cells of a view across and down, at whose corners its bounds are t
 
 
 class ViewBounds(NamedTuple):
-    """What the rays of a camera cover."""
+    """Bounds of the rays of a camera."""
 
     slopes: Float64[np.ndarray, "4"] | None
     """Lowest and highest x/z, lowest and highest y/z; None where a ray is over 80 degrees from the axis."""

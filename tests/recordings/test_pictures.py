@@ -2,15 +2,12 @@
 
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 
 from gsrain_engine.datasets.capture import Capture, CaptureFrame, Lens
-from gsrain_engine.datasets.geometry import intrinsics
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import RainSimulation
-from gsrain_engine.recordings.lens_views import LensView
 from gsrain_engine.recordings.pictures import PhotoRain, ScenePictures, has_distances, measured_sky
 from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.scene.camera import Camera
@@ -63,22 +60,6 @@ def test_the_light_of_drops_is_that_of_the_sky_in_the_pictures():
     night = wall(30.0)
     night = replace(night, views=(replace(night[0], image_source=(night[0].image * 0.05).astype(np.uint8)),))
     assert max(measured_sky(night).drops) < 0.06
-
-
-@pytest.mark.parametrize("lens", [BENT, Lens("fisheye", (0.05, -0.01, 0.002, 0.0))])
-def test_rain_goes_where_the_lens_sends_its_rays(lens):
-    view = wall(30.0, lens)[0]
-    wide = LensView.of(view, view.camera)
-    assert (wide.camera.fx, wide.camera.fy) == (view.camera.fx, view.camera.fy)
-    # A picture that holds its own tangents comes back as those of the pixels that OpenCV's model projects to.
-    x = (np.arange(wide.camera.width) + 0.5 - wide.camera.cx) / wide.camera.fx
-    taken = wide.through_lens(np.broadcast_to(x.astype(np.float32), (wide.camera.height, wide.camera.width)))
-    rays = np.array([[0.3, -0.1, 1.0], [-0.45, 0.2, 1.0], [0.05, 0.33, 1.0]])
-    project = cv2.fisheye.projectPoints if lens.model == "fisheye" else cv2.projectPoints
-    points, _ = project(rays[:, None], np.zeros(3), np.zeros(3), intrinsics(view.camera), np.array(lens.coefficients))
-    for (column, row), ray in zip(points.reshape(-1, 2), rays, strict=True):
-        found = cv2.getRectSubPix(taken, (1, 1), (float(column - 0.5), float(row - 0.5)))[0, 0]
-        assert found == pytest.approx(ray[0], abs=1e-3)
 
 
 @pytest.mark.parametrize("lens", [None, BENT])

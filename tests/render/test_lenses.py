@@ -76,7 +76,7 @@ def test_splats_are_where_the_lens_images_their_gaussians(name: str) -> None:
 
 
 def test_nothing_folds_back_into_the_picture() -> None:
-    """Where the radial polynomial falls, points far outside would be imaged again."""
+    """Points far outside would be imaged again where the radial polynomial falls."""
     camera = replace(CAMERA, lens=Lens("opencv", (-0.4, 0.0, 0.0, 0.0)))  # r - 0.4 r^3 rises up to 0.91
     outside = np.array([[1.4, 0.0, 1.0], [0.0, 1.2, 1.0], [-5.0, 2.0, 3.0], [0.1, 0.1, -2.0]])
     assert np.isnan(camera.pixels(outside)).all()
