@@ -238,11 +238,12 @@ class Driver:
         self.frames()
 
     def screen(self):
-        """The screen, as a person sees it: RGB values from 0 to 255."""
+        """The window, as a person sees it: RGB values from 0 to 255."""
         self._is_seen = True
         self.frames(3)
         self._is_seen = False
-        return np.asarray(ImageGrab.grab(xdisplay=None).convert("RGB")).astype(int)
+        width, height = (round(side * self.dpi_scale) for side in self.size_px)
+        return np.asarray(ImageGrab.grab(xdisplay=None).convert("RGB")).astype(int)[:height, :width]
 
     def _paint_less(self):
         """Shrink what is painted, while nobody looks: the processor paints it, which takes most of a frame's time."""

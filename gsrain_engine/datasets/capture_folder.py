@@ -10,16 +10,17 @@ import json
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 from PIL import Image
 
 from ..scene.camera import DEFAULT_EXPOSURE_S, Camera
 from ..scene.files import SceneFormatError
-from ..scene.lens import Lens
 from .capture import Capture, CaptureError, CaptureFrame, abbreviated_names, check_inside, omissions
 from .io.arrays import read_floats, read_json_object, read_json_rows
 from .io.images import CONVERT, image_size, images_in, read_color, read_labels, read_mask, unread_images_in
@@ -58,7 +59,7 @@ def write_view(folder: Path, view: CaptureFrame) -> dict[str, Any]:
     if view.sensor:
         values["sensor"] = view.sensor
     if view.lens is not None:
-        values["lens"] = {"model": view.lens.model, "coefficients": list(view.lens.coefficients)}
+        values["lens"] = msgspec.to_builtins(view.lens)
     if view.attributes:
         values["attributes"] = dict(view.attributes)
     return values
@@ -148,27 +149,22 @@ def _view(folder: Path, values: dict[str, Any], where: str) -> CaptureFrame:
         for pixels, (suffix, read) in _OTHER_PIXELS.items()
         if (folder / f"{name}.{suffix}").is_file()
     }
-    time_s, lens = _number(values.get("time_s", 0.0), where, "time_s"), _lens(values.get("lens"), where)
+    time_s = _number(values.get("time_s", 0.0), where, "time_s")
     attributes = values.get("attributes", {})
     if not isinstance(attributes, dict):
         raise SceneFormatError(where, "attributes must be an object")
     attributes = {str(key): str(value) for key, value in attributes.items()}
     sensor = str(values.get("sensor", ""))
     return CaptureFrame(
-        name, camera, partial(read_color, picture), time_s, sensor, lens, attributes=attributes, **others
+        name,
+        replace(camera, lens=None),
+        partial(read_color, picture),
+        time_s,
+        sensor,
+        camera.lens,
+        attributes=attributes,
+        **others,
     )
-
-
-def _lens(values: Any, where: str) -> Lens | None:
-    if values is None:
-        return None
-    try:
-        model, coefficients = values["model"], tuple(float(each) for each in values["coefficients"])
-        if model not in ("opencv", "fisheye") or not np.isfinite(coefficients).all():
-            raise ValueError(f"model {model!r} must be opencv or fisheye, and its coefficients finite")
-        return Lens(model, coefficients)
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise SceneFormatError(where, f"lens can't be read ({error})") from None
 
 
 def _number(value: Any, where: str, name: str) -> float:

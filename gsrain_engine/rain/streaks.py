@@ -10,8 +10,9 @@ from jaxtyping import Float32, Float64
 from ..kernels import NOGIL
 from ..scene.camera import Camera
 from ..scene.gaussians import Gaussians, sh_from_color
-from ..scene.lens import bent_place, lens_numbers, view_bounds
-from ..scene.rolling_shutter import GLOBAL_SHUTTER, Readout, turned_back
+from ..scene.lens import lens_numbers, view_bounds
+from ..scene.lens_kernels import bent_place, turned_back
+from ..scene.rolling_shutter import GLOBAL_SHUTTER, Readout
 from ..scene.sensor import PINHOLE, ThinLens
 from .settings import RainSettings
 

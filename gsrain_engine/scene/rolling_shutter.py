@@ -1,9 +1,8 @@
 """Rolling shutter of a camera: each row, or column, of a picture is exposed at a time and from a pose of its own."""
 
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, Protocol, no_type_check, runtime_checkable
+from typing import Literal, NamedTuple, Protocol, runtime_checkable
 
-import numba
 import numpy as np
 from jaxtyping import Float64
 
@@ -129,18 +128,3 @@ def _rotation_vector(turn: Float64[np.ndarray, "3 3"]) -> Float64[np.ndarray, "3
     axis = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2
     sine, cosine = float(np.linalg.norm(axis)), (float(np.trace(turn)) - 1) / 2
     return axis if sine < 1e-9 else axis * (np.arctan2(sine, cosine) / sine)
-
-
-@numba.njit(forceinline=True, error_model="numpy")
-@no_type_check
-def turned_back(x, y, z, part, turn):
-    """Point in the frame of a camera that has turned by a part of a rotation vector."""
-    wx, wy, wz = -part * turn[0], -part * turn[1], -part * turn[2]
-    square = wx * wx + wy * wy + wz * wz
-    if square < 1e-16:
-        return x, y, z
-    angle = np.sqrt(square)
-    first, second = np.sin(angle) / angle, (1 - np.cos(angle)) / square
-    cx, cy, cz = wy * z - wz * y, wz * x - wx * z, wx * y - wy * x
-    dx, dy, dz = wy * cz - wz * cy, wz * cx - wx * cz, wx * cy - wy * cx
-    return x + first * cx + second * dx, y + first * cy + second * dy, z + first * cz + second * dz

@@ -114,7 +114,7 @@ def test_convert_bakes_the_clear_colors_or_a_blend(wet, tmp_path):
 def test_street_writes_scene_and_photographs(tmp_path, reported):
     numbers = reported("street", tmp_path / "town", "--moments", "1", "--width", "96")
     scene = read_scene(tmp_path / "town" / "scene")
-    assert 670_000 <= scene.gaussian_count == numbers["gaussians"] <= 800_000
+    assert 780_000 <= scene.gaussian_count == numbers["gaussians"] <= 880_000
     assert set(scene.rigs) == {"waymo_front3", "nuscenes"}
     images = tmp_path / "town" / "images"
     cameras = json.loads((images / "cameras.json").read_text())

@@ -14,7 +14,8 @@ from jaxtyping import Float64, Int64
 
 from ...kernels import NOGIL
 from ...scene.camera import Camera
-from ...scene.lens import bent_place, lens_numbers, view_bounds
+from ...scene.lens import lens_numbers, view_bounds
+from ...scene.lens_kernels import bent_place
 from ...scene.rolling_shutter import readout_of
 from ...scene.scene import DrawItem
 from .splats import (
