@@ -12,6 +12,7 @@ from ..datasets.capture import Capture, CaptureFrame, LidarSource, LidarSweep
 from ..datasets.io.arrays import RowFile
 from ..datasets.kitti import kitti_surroundings
 from ..render.images import write_image
+from ..safe_io.limits import read_file
 from ..scene.files import whole_folder
 from ..scene.progress import Progress
 from .lidar import LidarRain
@@ -63,7 +64,7 @@ def write_rainy_folder(
 
 
 def _rows_in_rain(rows: RowFile, stored: LidarSource, time_s: float, lidar: LidarRain) -> bytes:
-    columns = np.frombuffer(rows.file.read_bytes(), np.float32).reshape(-1, rows.columns)
+    columns = np.frombuffer(read_file(rows.file), np.float32).reshape(-1, rows.columns)
     return lidar.with_rain(columns, stored.sensor_to_world, time_s).tobytes()
 
 

@@ -121,8 +121,8 @@ def _tokens(text, places):
     for line, place in zip(text.split("\n"), [*places, "the end"], strict=False):
         word, _, rest = line.strip().partition(" ")
         rest = rest.partition("//")[0].strip()
-        if word in ("#ifdef", "#if"):
-            holds = rest in macros if word == "#ifdef" else _holds(rest, macros)
+        if word in ("#ifdef", "#ifndef", "#if"):
+            holds = _holds(rest, macros) if word == "#if" else (rest in macros) == (word == "#ifdef")
             active.append((holds, holds))
         elif word == "#elif":
             holds = not active[-1][1] and _holds(rest, macros)

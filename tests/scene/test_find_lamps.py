@@ -82,7 +82,7 @@ def test_the_lanterns_of_the_street_by_night_are_found() -> None:
     others = [each for each in found if each.mount == "scene"]
     for lantern in lanterns:
         (lamp,) = [each for each in others if np.linalg.norm(np.subtract(each.position, lantern.position)) < 0.1]
-        assert 0.6 < lamp.intensity_m2 / lantern.intensity_m2 < 1.2  # asphalt has 0.1, not 0.12
+        assert 0.6 < lamp.intensity_m2 / lantern.intensity_m2 < 1.4  # asphalt has 0.1, not 0.12; trees shade it
         np.testing.assert_allclose(lamp.color, lantern.color, atol=0.08)
         others.remove(lamp)
     assert len(lanterns) == 8
