@@ -39,7 +39,7 @@ class Journey:
     folded_actions: int
     """With the panels folded to a strip, as in a small window."""
     on_all_screens: bool
-    """Whether it is played on more than the smallest screen."""
+    """True if it is played on more than the smallest screen."""
 
 
 JOURNEYS: list[Journey] = []
