@@ -11,7 +11,7 @@ import numba
 _VARIABLES = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Environment variables with the number of threads of Numba, OpenMP (torch), OpenBLAS (NumPy) and MKL (torch)."""
 
-WORKER_NICENESS = 6
+WORKER_NICENESS = 10
 """Priority of workers below the window, as `os.nice` counts: each step is a quarter less of a contested core.
 
 A worker beside a window that plays on all cores gets 2 parts of them in 10, so that both go on: with 10, the usual
