@@ -26,6 +26,8 @@ from imgui_bundle import hello_imgui, imgui, immapp
 from reconstruct_street import street_capture
 
 from gsrain_engine.datasets.capture_folder import write_views
+from gsrain_engine.editor.background_edits import reconstruct
+from gsrain_engine.editor.document import Recipe
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.job_results import scene_results
 from gsrain_engine.editor.jobs.training import reconstruction_job
@@ -230,8 +232,10 @@ def _train(folder: Path) -> Callable[[Editor], None]:
         pass
 
     def start(editor: Editor) -> None:
-        job = reconstruction_job(folder / "street", load_settings("laptop", measured_every=0))
-        editor.jobs.start(job, scene_results(editor.viewport, job.title, is_whole=True))
+        settings = load_settings("laptop", measured_every=0)
+        job = reconstruction_job(folder / "street", settings)
+        recipe = Recipe(reconstruct, {"capture": folder / "street", "settings": settings, "allow_outside": False})
+        editor.jobs.start(job, scene_results(editor.viewport, job.title, recipe, is_whole=True))
 
     return start
 
