@@ -3,10 +3,10 @@
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float, Float32, UInt8
 
 from ..datasets.capture import Capture, CaptureFrame
-from ..rain.frame import SkyLight
+from ..rain.frame import RainFrame, SkyLight
 from ..rain.simulation import OVERCAST, RainSimulation
 from ..render.draw import RenderView, ego_view, rain_camera
 from ..render.renderer import Renderer
@@ -34,9 +34,25 @@ def rain_on_photo(
         return photo
     falling = rainfall.frame(shot.time_s, rain_camera(world, rainfall, shot), sky)
     renderer.draw([], shot.camera, falling)
-    share = renderer.read().rgba[..., 3:]
+    return composite_on_photo(renderer.read().rgba[..., 3:], falling, photo)
+
+
+def composite_on_photo(
+    share: Float32[np.ndarray, "h w 1"],
+    falling: RainFrame,
+    photo: UInt8[np.ndarray, "h w 3"],
+    kept: Float32[np.ndarray, "h w 1"] | None = None,
+    airlight: Float[np.ndarray, "3"] | None = None,
+) -> UInt8[np.ndarray, "h w 3"]:
+    """Composite drops with a share W of each pixel over a photograph, of which a medium keeps T and adds airlight A.
+
+    enc((1 - W) (T dec(B) + (1 - T) dec(A)) + W dec(S)), in linear light if that is how the rain adds its own.
+    """
     encode, decode = (linear_to_srgb, srgb_to_linear) if falling.is_linear else (np.asarray, np.asarray)
-    mixed = encode((1 - share) * decode(photo.astype(np.float64) / 255) + share * decode(falling.color))
+    behind = decode(photo.astype(np.float64) / 255)
+    if kept is not None and airlight is not None:
+        behind = kept * behind + (1 - kept) * decode(airlight)
+    mixed = encode((1 - share) * behind + share * decode(falling.color))
     return np.rint(np.clip(mixed, 0, 1) * 255).astype(np.uint8)
 
 

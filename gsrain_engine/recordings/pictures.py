@@ -1,6 +1,5 @@
 """Recorded pictures in rain: photographs behind streaks and a medium, or pictures of a scene made of the recording."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
@@ -9,7 +8,7 @@ import msgspec
 import numpy as np
 from jaxtyping import Float32, UInt8
 
-from ..appearance.rainy_photo import photo_view
+from ..appearance.rainy_photo import composite_on_photo, photo_view
 from ..datasets.capture import Capture, CaptureError, CaptureFrame
 from ..datasets.depth_maps import completed_depths, measured_depths
 from ..datasets.sky_masks import certain_sky, sky_masks
@@ -22,7 +21,6 @@ from ..render.draw import draw_view, ego_view, rain_camera
 from ..render.renderer import Renderer
 from ..render.sky_color import sky_color
 from ..scene.camera import Camera
-from ..scene.geometry import linear_to_srgb, srgb_to_linear
 from ..scene.scene import Scene
 
 Colors = UInt8[np.ndarray, "h w 3"]
@@ -72,15 +70,11 @@ class PhotoRain:
         rainfall = self._streaks if has_medium and self._medium.rain.haze == "medium" else self._gaussians
         falling = rainfall.frame(shot.time_s, rain_camera(self._world, rainfall, shot), self._sky)
         self._renderer.draw([], shot.camera, falling)
-        share = self._renderer.read().rgba[..., 3:].astype(np.float64)
-        decode: Callable[..., np.ndarray] = srgb_to_linear if falling.is_linear else np.asarray
-        encode: Callable[..., np.ndarray] = linear_to_srgb if falling.is_linear else np.asarray
-        behind = decode(photo.astype(np.float64) / 255)
-        if distances is not None and air.medium is not None:
-            kept = _refined(distances.transmittance(air.medium, view), photo)[..., None]
-            behind = kept * behind + (1 - kept) * decode(air.airlight)
-        mixed = encode((1 - share) * behind + share * decode(falling.color))
-        return np.rint(np.clip(mixed, 0, 1) * 255).astype(np.uint8)
+        share = self._renderer.read().rgba[..., 3:]
+        if distances is None or air.medium is None:
+            return composite_on_photo(share, falling, photo)
+        kept = _refined(distances.transmittance(air.medium, view), photo)[..., None]
+        return composite_on_photo(share, falling, photo, kept, air.airlight)
 
     def _distances(self, view: CaptureFrame, photo: Colors) -> "_Distances | None":
         capture = self._capture
