@@ -114,7 +114,8 @@ class Driver:
         """Count what a hand does meanwhile: it is as many clicks, drags, keys and typed values as stated."""
         before = self.actions
         yield
-        assert self.actions - before == actions
+        taken = self.actions - before
+        assert taken == actions, f"{taken} actions, not {actions}"
 
     def panel(self, title):
         """Bring a panel to the front, by its tab or its name in a small window's strip; returns where its items are."""

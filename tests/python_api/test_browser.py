@@ -32,7 +32,9 @@ class Browser:
 
     def __init__(self, url, camera):
         protocol = f"viser-v{viser.__version__}"
-        self.connection = client.connect(url.replace("http", "ws"), subprotocols=[protocol], max_size=None)
+        self.connection = client.connect(
+            url.replace("http", "ws"), subprotocols=[protocol], max_size=None, ping_interval=None
+        )
         self.controls = {}
         self.look(camera)
 
@@ -107,8 +109,10 @@ def test_each_browser_has_its_view_in_the_rain_that_one_of_them_sets(capsys):
         with pytest.raises(OSError, match=r"port \d+ can't be opened: .*; choose another one, or 0"):
             gr.BrowserViewer(scene, port=int(page.url.rpartition(":")[2]))
     assert not page.is_open and page.browsers == 0 and capsys.readouterr() == ("", "")
-    left = set(threading.enumerate()) - before
-    assert not [each.name for each in left if not each.name.startswith("ThreadPoolExecutor")]  # viser's, which are idle
+    for thread in set(threading.enumerate()) - before:
+        if not thread.name.startswith("ThreadPoolExecutor"):  # viser's, which are idle
+            thread.join(WAIT_S)
+            assert not thread.is_alive(), thread.name
     with pytest.raises(gr.ViewerError, match="is closed"):
         page.rain = gr.Rain()
 

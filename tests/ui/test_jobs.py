@@ -246,10 +246,11 @@ def test_a_clip_is_recorded_while_the_window_goes_on(driver, tmp_path, monkeypat
         editor = driver.editor
         driver.click("//Rain/8.5")
         editor.render_queue.change(size_px=(480, 320), fps=4.0)
+        timeline = driver.panel("Timeline")
         driver.ctx.window_focus("//View")
         with driver.journey(6):  # a flight of 10 s as a video
             driver.press(imgui.Key.k)
-            driver.type_in(f"{driver.panel('Timeline')}**/##time", 10.0)
+            driver.type_in(f"{timeline}**/##time", 10.0)
             driver.stroke(driver.at(0.5, 0.4), driver.at(0.54, 0.4), driver.at(0.56, 0.42), button=1)
             driver.press(imgui.Key.k)
             driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.r))
