@@ -323,10 +323,7 @@ def _node_matrix(node: _Node) -> Float64[np.ndarray, "4 4"]:
         return np.array(node.matrix, np.float64).reshape(4, 4).T
     matrix = np.eye(4)
     x, y, z, w = node.rotation
-    if True:
-        matrix[:3, :3] = matrices_from_quaternions(np.array([w, x, y, z], np.float64)) * np.array(
-            node.scale, np.float64
-        )
+    matrix[:3, :3] = matrices_from_quaternions(np.array([w, x, y, z], np.float64)) * np.array(node.scale, np.float64)
     matrix[:3, 3] = node.translation
     return matrix
 
@@ -336,7 +333,7 @@ def _turned(gaussians: Gaussians) -> Gaussians:
     return replace(
         gaussians,
         means=gaussians.means * _POINT_FLIP,
-        quaternions=gaussians.quaternions[:, [3, 2, 1, 0]] * _QUATERNION_SIGNS,
+        quaternions=np.ascontiguousarray(gaussians.quaternions[:, ::-1]) * _QUATERNION_SIGNS,
         sh=gaussians.sh * _SH_FLIP[: gaussians.sh.shape[1], None],
     )
 
