@@ -30,12 +30,19 @@ from gsrain_engine.scene.formats.scene_files import (
     write_scene,
 )
 from gsrain_engine.scene.lod_tree import MIN_GAUSSIANS
-from gsrain_engine.scene.open import is_built_in_street, load_scene, load_street, scene_folder_of, sorted_with_trees
+from gsrain_engine.scene.open import (
+    is_built_in_street,
+    load_scene,
+    load_sorted_scene,
+    load_street,
+    scene_folder_of,
+    sorted_with_trees,
+)
 from gsrain_engine.scene.rig import rig_camera
 from gsrain_engine.scene.scene import Actor, Layer, Scene, bounds
 from gsrain_engine.scene.transforms import with_wetness_baked
 
-from .console import counted, print, print_lines, progress_bar, table_of, wide_console
+from .console import counted, print, print_lines, progress_bar, run_with_progress, table_of, wide_console
 from .options import AllowOutside, JsonFile, check_within, flag, let_names_lead_outside, option
 from .outputs import check_image, check_scene_folder, check_scene_target, check_writable, lock_outputs, write_numbers
 
@@ -322,7 +329,12 @@ def convert(
     target: Annotated[Path, option(f"File to write ({_WRITTEN}), or a folder for a scene folder.")],
     /,
     *,
-    wetness: Annotated[float | None, option("Bake in the colors of a wetness, 0..1; default for a file: 0.")] = None,
+    wetness: Annotated[
+        float | None, option("Bake in the colors of a wetness, 0..1; default for a file: 0, with --wet 1.")
+    ] = None,
+    wet: Annotated[
+        bool, flag("Compute wet colors first if the scene has none, as in render: a folder gets both sets of colors.")
+    ] = False,
     orientation: Orientation | None = None,
     level: Annotated[bool, flag("Find the ground, and rotate the scene until it is level.")] = False,
     camera_height: Annotated[
@@ -346,7 +358,8 @@ def convert(
     check_within("--wetness", wetness, 0, 1)
     check_scene_target(target)
     check_writable(json)
-    scene = (orientation or Orientation()).of(load_scene(source))
+    # wet colors are cached for the order in which render draws
+    scene = (orientation or Orientation()).of(load_sorted_scene(source) if wet else load_scene(source))
     lock_outputs(target)
     if level or camera_height is not None:
         scene = level_from_ground(scene)
@@ -359,9 +372,15 @@ def convert(
         raise ValueError(f"--speed {speed:g}: is that of --drive, which is not asked for")
     if drive is not None:
         scene = _driven(scene, drive, speed)
+    if wet and not scene.has_rainy_light:
+        from gsrain_engine.recolor.cached_colors import cached_wet_scene  # kernels take a second to load
+
+        scene = run_with_progress(cached_wet_scene(scene))
+    if wet and wetness is None and not names_scene_folder(target):
+        wetness = 1.0
     if wetness is not None:
         if all(each.wet_sh is None for each in scene.members):
-            raise ValueError(f"--wetness {wetness:g}: {source} has no wet colors; gsrain recolor makes them")
+            raise ValueError(f"--wetness {wetness:g}: {source} has no wet colors; --wet computes them first")
         scene = with_wetness_baked(scene, wetness)
     is_large = names_scene_folder(target) and scene.gaussian_count >= MIN_GAUSSIANS
     write_scene(sorted_with_trees(scene) if is_large else scene, target, in_drawing_order=is_large)
