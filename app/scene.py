@@ -344,7 +344,7 @@ def convert(
         str | None,
         option(
             "Add an ego vehicle with a front camera that drives along a camera path: own for the scene's, or a "
-            "file (ours, nerfstudio's, cameras.json of 3DGS). gsrain drive needs one."
+            "file (ours, nerfstudio's, cameras.json of 3DGS, a .glb). gsrain drive needs one."
         ),
     ] = None,
     speed: Annotated[float | None, option("Speed of --drive in m/s; default: its own times, or walking pace.")] = None,
@@ -400,7 +400,7 @@ def convert(
 
 def _driven(scene: Scene, drive: str, speed: float | None) -> Scene:
     """Let an ego vehicle drive along a path, at its own times, or at the given or assumed speed."""
-    path = scene.path if drive == "own" else read_camera_path(drive)
+    path = scene.path if drive == "own" else read_camera_path(drive, scene.scene_to_world)
     if path is None:
         return drive_along_own_path(scene)  # raises the reason
     timing = timed_path(path, speed, scene.metres_per_unit)
