@@ -25,6 +25,7 @@ _BOX_CENTER_M = [1.3, 0.0, 0.75]  # from its rig, on the ground below the rear a
 _LOWEST_M, _HIGHEST_M = 0.2, 4.0
 _SEQUENCE = "gsrain"
 _MICROSECONDS = 1_000_000
+_LEAD_US = 100_000  # of the drive before its first picture, as AlpaSim's shutters may open before a frame begins
 
 
 def nurec_files(scene: Scene) -> dict[str, bytes]:
@@ -36,7 +37,9 @@ def nurec_files(scene: Scene) -> dict[str, bytes]:
     down = np.eye(4)
     down[2, 3] = -sensor_height_m(scene)
     poses = [pose @ down for pose in _poses(scene.ego.moved(scene.scene_to_world))]
-    frames = [[time, time + max(1, round(_MICROSECONDS * _exposure_s(cameras)))] for time in times]
+    exposure_us = max(1, round(_MICROSECONDS * _exposure_s(cameras)))
+    after = [time for time in times if time - times[0] >= _LEAD_US]
+    frames = [[time, time + exposure_us] for time in after or times]
     rig = {
         "world_to_nre": {"matrix": np.eye(4).tolist()},
         "T_world_base": np.eye(4).tolist(),
