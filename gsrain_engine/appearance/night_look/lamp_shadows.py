@@ -100,7 +100,7 @@ def _depth(per_m, corner, cell, start, x, y, z, length):
     first = _OWN_CELLS * cell
     if length <= first:
         return 0.0
-    steps = int(ceil((length - first) / cell))
+    steps = ceil((length - first) / cell)
     step, total = (length - first) / steps, 0.0
     for k in range(steps):
         s = first + (k + 0.5) * step

@@ -32,11 +32,13 @@ _FIRST_M, _BEFORE_M, _BEYOND_M = 14.0, 46.0, 106.0
 """First lantern ahead of the start; how far they go on straight before the start and beyond the end of a drive."""
 MIN_DRIVE_M = 0.5  # a shorter one has no direction of its own: the vehicle's counts
 
-OBJECT_IRRADIANCE = 2.0
-"""Of a lamp beside an object, in units of which pi makes a white wall display white: 20 lx where 10 cd are 1 m2."""
-_ASIDE_DEG, _ABOVE_DEG, _BACK_DEG = 62.0, 42.0, 0.0
+OBJECT_IRRADIANCE = np.pi
+"""Of each lamp at an object: a white surface that faces it is display white; 31 lx where 10 cd are 1 m2."""
+_OBJECT_LAMPS = (("front lamp", 52.0, 38.0), ("back lamp", -143.0, 26.0))
+"""Lamps around an object: degrees to the left of the direction from which it is first seen, and above it. Rain throws
+light forward, so that it is seen in that of the second one."""
 _RADII, _NEAREST_M = 3.0, 1.5
-"""Distance of that lamp in radii of the object, and in meters at least."""
+"""Distance of these lamps in radii of the object, and in meters at least."""
 _LAMP_COLOR = (1.0, 0.80, 0.55)  # of a bulb of 2700 K
 
 
@@ -46,11 +48,11 @@ def default_lamps(
     """Lamps for a scene without any, and a layer with their bodies.
 
     Where an ego vehicle drives, or a camera path leads over ground, those are lanterns at its right side and the lamps
-    of vehicles; elsewhere one lamp above an object, and to its left as it is first seen.
+    of other vehicles; elsewhere two lamps above an object, one before it and one behind it, as it is first seen.
     """
     course = _course(scene, heights)
     if course is None:
-        return (_lamp_of_object(scene, core),), None
+        return _lamps_of_object(scene, core), None
     places, turns_deg = _stations(course)
     if heights is not None:
         places[:, 2] = heights.sampled(heights.smooth_m, places)
@@ -68,7 +70,8 @@ def default_lamps(
     quads = Quads.joined([one.placed(place, turn) for place, turn in zip(places, turns_deg, strict=True)])
     gaussians = quads_to_gaussians(quads, Illumination.over(StreetParameters(), None, NIGHT))
     bodies = Layer("lanterns", replace(gaussians, antialiased=False), to_scene=to_scene)
-    return (*found, *VehicleLamps(mount="vehicles").of(scene)), bodies
+    others = [lamp for lamp in VehicleLamps(mount="vehicles").of(scene) if lamp.mount != "ego"]
+    return (*found, *others), bodies
 
 
 def _course(scene: Scene, heights: GroundHeights | None) -> Float64[np.ndarray, "n 3"] | None:
@@ -111,19 +114,22 @@ def _stations(course: Float64[np.ndarray, "n 3"]) -> tuple[Float64[np.ndarray, "
     return places, np.degrees(np.arctan2(along[:, 1], along[:, 0]))
 
 
-def _lamp_of_object(scene: Scene, core: SceneCore) -> Lamp:
-    ahead = ahead_of(scene)
-    left = np.array([-ahead[1], ahead[0], 0.0])
-    aside, above = np.radians([_ASIDE_DEG, _ABOVE_DEG])
-    level = np.cos(above) * (np.sin(aside) * left - np.cos(aside) * ahead)
-    distance = max(_RADII * core.radius_m, _NEAREST_M)
-    place = core.middle + distance * (level + [0, 0, np.sin(above)])
-    to_scene = np.linalg.inv(scene.scene_to_world)
-    x, y, z = (to_scene[:3, :3] @ place + to_scene[:3, 3]).tolist()
-    return Lamp(
-        name="lamp", position=(x, y, z), direction=_down(scene), color=_LAMP_COLOR,
-        intensity_m2=OBJECT_IRRADIANCE * distance**2,
-    )  # fmt: skip
+def _lamps_of_object(scene: Scene, core: SceneCore) -> tuple[Lamp, ...]:
+    ahead, to_scene = ahead_of(scene), np.linalg.inv(scene.scene_to_world)
+    left, distance = np.array([-ahead[1], ahead[0], 0.0]), max(_RADII * core.radius_m, _NEAREST_M)
+    found: list[Lamp] = []
+    for name, *angles in _OBJECT_LAMPS:
+        aside, above = np.radians(angles)
+        level = np.cos(above) * (np.sin(aside) * left - np.cos(aside) * ahead)
+        place = core.middle + distance * (level + [0, 0, np.sin(above)])
+        x, y, z = (to_scene[:3, :3] @ place + to_scene[:3, 3]).tolist()
+        found.append(
+            Lamp(
+                name=name, position=(x, y, z), direction=_down(scene), color=_LAMP_COLOR,
+                intensity_m2=OBJECT_IRRADIANCE * distance**2,
+            )
+        )  # fmt: skip
+    return tuple(found)
 
 
 def _down(scene: Scene) -> tuple[float, float, float]:
@@ -133,8 +139,8 @@ def _down(scene: Scene) -> tuple[float, float, float]:
 
 # What is seen of lamps
 
-_BULB_M = 0.05  # standard deviation
-_BULB_LIGHT = 25.0  # linear, relative to white, of the brightest channel
+_BULB_M = 0.035  # standard deviation
+_BULB_LIGHT = 5.0  # linear, relative to white, of the brightest channel
 
 
 def bulbs(scene: Scene, lamps: Sequence[Lamp]) -> Layer | None:

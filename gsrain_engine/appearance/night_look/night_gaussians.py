@@ -128,27 +128,23 @@ def reflectances(own: GaussianSurfaces, surfaces: SceneSurfaces) -> Colors:
 
 def _factor(surfaces: SceneSurfaces, relative: dict[str, Colors]) -> float:
     """Factor on relative reflectances by which level gray ground is asphalt, or the mean is that of most scenes."""
-    gray, weights = [np.zeros(0)], [np.zeros(0)]
-    for is_ground in (True, False):
-        for key, own in surfaces.members.items():
-            chosen = own.opacities > 0.1
-            if is_ground:
-                chosen &= (own.ground > 0.5) & (own.plants < 0.5) & is_gray(relative[key])
-            gray.append((relative[key] @ LUMINANCE)[chosen])
-            weights.append((own.area_m2 * own.opacities)[chosen])
-        value, weight = np.concatenate(gray), np.concatenate(weights)
-        if not is_ground:
-            found = _MEAN_ALBEDO / max(float(weight @ value) / max(float(weight.sum()), 1e-12), 1e-6)
-            return float(np.clip(found, *_FACTOR))
-        if surfaces.heights is not None and len(value) >= _MIN_GROUND:
-            order = np.argsort(value)
-            middle = order[np.searchsorted(np.cumsum(weight[order]), 0.5 * weight.sum())]
-            return float(np.clip(_GROUND_ALBEDO / max(float(value[middle]), 1e-6), *_FACTOR))
-        gray, weights = [np.zeros(0)], [np.zeros(0)]
-    raise AssertionError
+    values, weights, ground = [np.zeros(0)], [np.zeros(0)], [np.zeros(0, np.bool_)]
+    for key, own in surfaces.members.items():
+        rows = own.opacities > 0.1
+        values.append((relative[key] @ LUMINANCE)[rows])
+        weights.append((own.area_m2 * own.opacities)[rows])
+        ground.append(((own.ground > 0.5) & (own.plants < 0.5) & is_gray(relative[key]))[rows])
+    value, weight, is_ground = (np.concatenate(each) for each in (values, weights, ground))
+    if surfaces.heights is not None and np.count_nonzero(is_ground) >= _MIN_GROUND:
+        value, weight = value[is_ground], weight[is_ground]
+        order = np.argsort(value)
+        found = float(value[order[np.searchsorted(np.cumsum(weight[order]), 0.5 * weight.sum())]])
+        return float(np.clip(_GROUND_ALBEDO / max(found, 1e-6), *_FACTOR))
+    found = float(weight @ value) / max(float(weight.sum()), 1e-12)
+    return float(np.clip(_MEAN_ALBEDO / max(found, 1e-6), *_FACTOR))
 
 
-_MIN_GROUND = 100
+_MIN_GROUND = 100  # Gaussians of ground that tell the factor
 
 # Normals
 
@@ -191,7 +187,7 @@ def surface_normals(
 # Light
 
 _ROUGH = 0.3
-"""Cosine at surfaces without a known normal: 1/4 is the mean over all directions, and those that are seen face outward."""
+"""Cosine at surfaces without a known normal: 1/4 is the mean over all directions, and visible ones face outward."""
 _SOLID = 0.05  # opacity from which a Gaussian hides lamps
 _BOUNCE, _BOUNCE_RADIUS = 0.1, 0.7
 """Light that the ground below a lamp returns upwards, over the lamp's intensity, from a disk of this radius over the
