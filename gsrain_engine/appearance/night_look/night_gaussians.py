@@ -31,7 +31,7 @@ from ..wet_look.gaussian_surfaces import (
     viewpoints,
 )
 from ..wet_look.ground_plane import GroundHeights
-from ..wet_look.illumination import is_gray, overcast_colors
+from ..wet_look.illumination import DARKEST_EV, IlluminationEstimate, is_gray, overcast_colors
 from ..wet_look.masks import smoothstep
 from ..wet_look.materials import MEAN_REFLECTANCE, WHITE, lamp_share, wet_surfaces_color
 from ..wet_look.settings import WetSettings
@@ -42,11 +42,11 @@ from .lanterns import bulbs, default_lamps
 
 _NEUTRAL = WetSettings(sun_removal=1.0, coolness=0.0)
 """Clouds of neutral color, in whose light a color is the reflectance but for a factor."""
-_GROUND_ALBEDO, _MEAN_ALBEDO = 0.12, 0.18
-"""Reflectance of level gray ground, such as asphalt; and the mean of a scene without it, for which exposure meters are
-made (ISO 2720)."""
-_FACTOR, _MAX_ALBEDO = (0.3, 2.0), 0.85
-"""Range of that factor, and the reflectance of the whitest."""
+_GROUND_ALBEDO, _MEAN_ALBEDO, _LEAF_ALBEDO = 0.12, 0.18, 0.09
+"""Reflectance of level gray ground, such as asphalt; of the middle of a scene without it, for which exposure meters are
+made (ISO 2720); and the mean of leaves in visible light (Gates et al. 1965), at least."""
+_FACTOR, _MAX_ALBEDO = (0.3, 2.5), 0.85
+"""Range of the factors by which these are reached, and the reflectance of the whitest."""
 
 
 def night_scene(scene: Scene, lamps: Sequence[Lamp] | None = None) -> Generator[Progress, None, Scene]:
@@ -113,38 +113,71 @@ def _free_name(scene: Scene, name: str) -> str:
 
 # Reflectance
 
+_EVEN, _UNEVEN_EV = 0.7, 1.5
+"""Share of the broad differences of ground that is taken for what is left of the sun, and their limit in stops."""
+_MIN_GAUSSIANS = 100  # of ground or plants, from which their factor is known
 
-def reflectances(own: GaussianSurfaces, surfaces: SceneSurfaces) -> Colors:
-    """Diffuse reflectance of Gaussians but for a factor, linear: their color under clouds, without sun and shadow."""
-    sunlit, found = sunlit_share(own, surfaces.light), np.empty_like(own.color)
+
+def reflectances(own: GaussianSurfaces, light: IlluminationEstimate) -> Colors:
+    """Diffuse reflectance of Gaussians but for a factor, linear: their color under clouds, without sun and shadow.
+
+    Ground has no other broad differences of brightness than those of the light (Land and McCann 1971).
+    """
+    sunlit, found = sunlit_share(own, light), np.empty_like(own.color)
     linear = srgb_to_linear(own.color).astype(np.float32)
     for first in range(0, len(found), BLOCK):
         rows = slice(first, first + BLOCK)
-        found[rows] = overcast_colors(
-            linear[None, rows], sunlit[None, rows], surfaces.light, _NEUTRAL, row_of(own, rows)
-        )[0]
+        found[rows] = overcast_colors(linear[None, rows], sunlit[None, rows], light, _NEUTRAL, row_of(own, rows))[0]
+    ground = own.ground * (1 - own.plants)
+    if light.sun > 0 and ground.any():
+        level = np.log2(np.maximum(found @ LUMINANCE, 2**DARKEST_EV)).astype(np.float32)
+        mean = np.average(level, weights=ground * own.area_m2)
+        uneven = np.clip(own.broad.mean(level, ground) - mean, -_UNEVEN_EV, _UNEVEN_EV)
+        found *= np.exp2(-_EVEN * light.sun * ground * uneven)[:, None]
     return found
 
 
-def _factor(surfaces: SceneSurfaces, relative: dict[str, Colors]) -> float:
-    """Factor on relative reflectances by which level gray ground is asphalt, or the mean is that of most scenes."""
-    values, weights, ground = [np.zeros(0)], [np.zeros(0)], [np.zeros(0, np.bool_)]
-    for key, own in surfaces.members.items():
-        rows = own.opacities > 0.1
-        values.append((relative[key] @ LUMINANCE)[rows])
-        weights.append((own.area_m2 * own.opacities)[rows])
-        ground.append(((own.ground > 0.5) & (own.plants < 0.5) & is_gray(relative[key]))[rows])
-    value, weight, is_ground = (np.concatenate(each) for each in (values, weights, ground))
-    if surfaces.heights is not None and np.count_nonzero(is_ground) >= _MIN_GROUND:
-        value, weight = value[is_ground], weight[is_ground]
-        order = np.argsort(value)
-        found = float(value[order[np.searchsorted(np.cumsum(weight[order]), 0.5 * weight.sum())]])
-        return float(np.clip(_GROUND_ALBEDO / max(found, 1e-6), *_FACTOR))
-    found = float(weight @ value) / max(float(weight.sum()), 1e-12)
-    return float(np.clip(_MEAN_ALBEDO / max(found, 1e-6), *_FACTOR))
+class _Albedo(NamedTuple):
+    """Factors on relative reflectances."""
+
+    solid: float
+    plants: float
+
+    @classmethod
+    def of(cls, surfaces: SceneSurfaces, relative: dict[str, Colors]) -> "_Albedo":
+        """Factors by which level gray ground is asphalt, or the mean that of most scenes; and plants have leaves."""
+        names = "value", "area", "ground", "plants"
+        lists: dict[str, list[Float[np.ndarray, " _"]]] = {name: [np.zeros(0)] for name in names}
+        for key, own in surfaces.members.items():
+            gray = own.ground * (1 - own.plants) * is_gray(relative[key])
+            columns = relative[key] @ LUMINANCE, own.area_m2 * own.opacities, gray, own.plants
+            for name, column in zip(names, columns, strict=True):
+                lists[name].append(column[own.opacities > 0.1])
+        value, area, ground, plants = (np.concatenate(lists[name]) for name in names)
+        solid, leaves = np.ones(len(value), np.bool_), plants > 0.5
+        aim = _MEAN_ALBEDO
+        if surfaces.heights is not None and np.count_nonzero(ground > 0.5) >= _MIN_GAUSSIANS:
+            solid, aim = ground > 0.5, _GROUND_ALBEDO
+        factor = _clipped(aim / max(_median(value[solid], area[solid]), 1e-6))
+        if np.count_nonzero(leaves) < _MIN_GAUSSIANS:
+            return cls(factor, factor)
+        mean = float(np.average(value[leaves], weights=np.minimum(area, np.quantile(area, 0.9))[leaves]))
+        return cls(factor, max(factor, _clipped(_LEAF_ALBEDO / max(mean, 1e-6))))
+
+    def on(self, relative: Colors, own: GaussianSurfaces) -> Colors:
+        factor = self.solid + own.plants * np.float32(self.plants - self.solid)
+        return np.minimum(factor[:, None] * relative, np.float32(_MAX_ALBEDO))
 
 
-_MIN_GROUND = 100  # Gaussians of ground that tell the factor
+def _clipped(factor: float) -> float:
+    return float(np.clip(factor, *_FACTOR))
+
+
+def _median(values: Float[np.ndarray, " n"], weights: Float[np.ndarray, " n"]) -> float:
+    order = np.argsort(values)
+    summed = np.cumsum(weights[order])
+    return float(values[order[np.searchsorted(summed, 0.5 * summed[-1])]]) if len(values) else 0.0
+
 
 # Normals
 
@@ -203,7 +236,7 @@ class _Night:
 
     surfaces: SceneSurfaces
     relative: dict[str, Colors]
-    factor: float
+    albedo: _Albedo
     grid: OpacityGrid
     lamps: tuple[Lamp, ...]
     """Those mounted on the scene."""
@@ -212,9 +245,9 @@ class _Night:
 
     @classmethod
     def over(cls, scene: Scene, surfaces: SceneSurfaces, core: SceneCore, lamps: Sequence[Lamp]) -> "_Night":
-        relative = {key: reflectances(own, surfaces) for key, own in surfaces.members.items()}
+        relative = {key: reflectances(own, surfaces.light) for key, own in surfaces.members.items()}
         return cls(
-            surfaces, relative, _factor(surfaces, relative), _grid(scene, surfaces),
+            surfaces, relative, _Albedo.of(surfaces, relative), _grid(scene, surfaces),
             tuple(lamp for lamp in lamps if lamp.mount == "scene"), viewpoints(scene), core.middle,
         )  # fmt: skip
 
@@ -228,7 +261,7 @@ class _Night:
         if isinstance(member, Layer):
             sky, share = self.surfaces.sky.behind(member.key, own, self.surfaces.above_m(own), night_sky)
         light = self._light(scene, member, own)
-        albedo = np.minimum(self.factor * self.relative[member.key], _MAX_ALBEDO)
+        albedo = self.albedo.on(self.relative[member.key], own)
         soaked = _soaked(albedo, own)
         linear = srgb_to_linear(own.color).astype(np.float32)
         lit = lamp_share(linear, own.broad.mean, own.vehicles) * own.vehicles
