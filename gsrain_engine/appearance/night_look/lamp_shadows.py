@@ -49,7 +49,7 @@ class OpacityGrid:
         density = ndimage.gaussian_filter(_ORIENTATION * area / cell**3, _BLUR, truncate=3.0, mode="constant")
         return cls(corner, cell, density.astype(np.float32))
 
-    def light_kept(
+    def transmittance(
         self, lamp_m: Float64[np.ndarray, "3"], points: Float[np.ndarray, "n 3"]
     ) -> Float32[np.ndarray, " n"]:
         """Share of a lamp's light that surfaces on its rays to points leave, 0..1."""
@@ -71,26 +71,26 @@ class OpacityGrid:
 @numba.njit(cache=True, nogil=NOGIL, parallel=True, error_model="numpy")
 @no_type_check
 def _toward(per_m, corner, cell, lamp, points):
-    kept = np.empty(len(points), np.float32)
+    left = np.empty(len(points), np.float32)
     for i in numba.prange(len(points)):
         x, y, z = lamp[0] - points[i, 0], lamp[1] - points[i, 1], lamp[2] - points[i, 2]
         length = sqrt(x * x + y * y + z * z)
         if not length > 0:
-            kept[i] = 1
+            left[i] = 1
             continue
-        kept[i] = exp(-_depth(per_m, corner, cell, points[i], x / length, y / length, z / length, length - _LAMP_M))
-    return kept
+        left[i] = exp(-_depth(per_m, corner, cell, points[i], x / length, y / length, z / length, length - _LAMP_M))
+    return left
 
 
 @numba.njit(cache=True, nogil=NOGIL, parallel=True, error_model="numpy")
 @no_type_check
 def _from_afar(per_m, corner, cell, points, ways):
-    kept = np.empty((len(points), len(ways)), np.float32)
+    left = np.empty((len(points), len(ways)), np.float32)
     far = cell * sqrt(per_m.shape[0] ** 2 + per_m.shape[1] ** 2 + per_m.shape[2] ** 2)
     for i in numba.prange(len(points)):
         for k in range(len(ways)):
-            kept[i, k] = exp(-_depth(per_m, corner, cell, points[i], ways[k, 0], ways[k, 1], ways[k, 2], far))
-    return kept
+            left[i, k] = exp(-_depth(per_m, corner, cell, points[i], ways[k, 0], ways[k, 1], ways[k, 2], far))
+    return left
 
 
 @numba.njit(cache=True, nogil=NOGIL, error_model="numpy")

@@ -32,8 +32,8 @@ _FIRST_M, _BEFORE_M, _BEYOND_M = 14.0, 46.0, 106.0
 """First lantern ahead of the start; how far they go on straight before the start and beyond the end of a drive."""
 MIN_DRIVE_M = 0.5  # a shorter one has no direction of its own: the vehicle's counts
 
-OBJECT_IRRADIANCE = np.pi
-"""Of each lamp at an object: a white surface that faces it is display white; 31 lx where 10 cd are 1 m2."""
+OBJECT_IRRADIANCE = 5.0
+"""Of each lamp at an object: 50 lx where 10 cd are 1 m2; white paper that faces it has 0.87 of display white."""
 _OBJECT_LAMPS = (("front lamp", 52.0, 38.0), ("back lamp", -143.0, 26.0))
 """Lamps around an object: degrees to the left of the direction from which it is first seen, and above it. Rain throws
 light forward, so that it is seen in that of the second one."""

@@ -368,8 +368,8 @@ def light_of_lamps(
         part = np.clip((-(away @ axis) - outer) / max(inner - outer, 1e-6), 0, 1) if outer > -1 else np.ones(len(near))
         share = part * part * (3 - 2 * part) * _facing(away, *own) / squared
         reached = np.flatnonzero(share * intensity.max() > _FAINTEST)
-        kept = grid.light_kept(place, points[near[reached]])
-        total[near[reached]] += (share[reached] * kept)[:, None] * intensity / np.pi
+        left = grid.transmittance(place, points[near[reached]])
+        total[near[reached]] += (share[reached] * left)[:, None] * intensity / np.pi
         if heights is not None and outer > -1:
             total[near] += _returned(place, points[near], own, heights)[:, None] * intensity / np.pi
     return total
