@@ -36,7 +36,8 @@ class NightLook:
             if self._document.scene is not scene:
                 return "The scene has changed meanwhile: relight it again"
             self._document.edit(NIGHT_TITLE, replace_scene, made[0], recipe=Recipe(relight_by_night, {}))
-            return f"Lit by {len(made[0].lamps)} lamps"
+            count = len(made[0].lamps)
+            return f"Lit by {count} lamp{'s'[: count != 1]}"
 
         progress = Progress(0.0, "Looking at the scene")
         return self._jobs.start(Job("night", NIGHT_TITLE, work, no_result, in_thread=True, progress=progress), take)

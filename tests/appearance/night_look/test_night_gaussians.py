@@ -1,14 +1,18 @@
 """Scenes by day, relit by lamps: light by the formula, shadows, default lamps, files, and a night that is refused."""
 
+from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from app.main import BAD_INPUT, run
+from editor.files.open_document import settle
 from gsrain_engine.appearance.night_look.lamp_shadows import OpacityGrid
 from gsrain_engine.appearance.night_look.lanterns import RIGHT_M, SPACING_M
 from gsrain_engine.appearance.night_look.night_gaussians import SurfaceNormals, light_of_lamps, night_scene
+from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.steps import EditStep, apply_steps, steps_since
 from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.scene.gaussians import SH_C0, Gaussians
 from gsrain_engine.scene.geometry import srgb_to_linear
@@ -108,3 +112,17 @@ def test_the_command_writes_the_same_bytes_twice_and_refuses_a_night(yard, tmp_p
     capsys.readouterr()
     assert run(["night", str(tmp_path / "a"), "-o", str(tmp_path / "c")]) == BAD_INPUT
     assert "dark already" in capsys.readouterr().err and not (tmp_path / "c").exists()
+
+
+def test_the_job_of_the_window_is_one_step_that_can_be_repeated(yard):
+    with closing(Editor(replace(yard, lamps=(LAMP,)))) as editor:
+        job = editor.night_look.relight()
+        assert not editor.night_look.is_possible
+        job.wait(60)
+        settle(editor)
+        document = editor.document
+        assert (job.progress.message, document.history.labels[1:]) == ("Lit by 1 lamp", ["Relight as by night"])
+        (step,) = steps_since(document.history, document.history.steps[0].document)
+        made = document.scene.member("layers/all")
+    again = apply_steps(replace(yard, lamps=(LAMP,)), [EditStep.parse(step.text)])
+    assert step.text == "night" and np.array_equal(again.member("layers/all").gaussians.sh, made.gaussians.sh)
