@@ -5,10 +5,11 @@ No view is drawn. Sunlight and its shadows are removed as by the wet look, which
 
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Float32, Float64
+from scipy.spatial import KDTree
 
 from ...scene.find_lamps import is_dark
 from ...scene.gaussians import SH_C0, Gaussians, sh_from_color
@@ -74,28 +75,22 @@ def night_scene(scene: Scene, lamps: Sequence[Lamp] | None = None) -> Generator[
     shining, bodies = list(lamps if lamps is not None else scene.lamps), None
     if lamps is None and not scene.lamps:
         shining, bodies = default_lamps(scene, core, surfaces.heights)
-    bodies = bodies or bulbs(scene, shining)
     yield Progress(0.5, "Finding what lamps are hidden by")
     night = _Night.over(scene, surfaces, core, shining)
-    members: dict[str, Layer | Actor] = {}
-    for member in scene.members:
-        yield Progress(0.5 + 0.5 * len(members) / len(scene.members), f"Lighting {member.name}")
+    layers, actors = list[Layer](), list[Actor]()
+    for number, member in enumerate(scene.members):
+        yield Progress(0.5 + 0.5 * number / len(scene.members), f"Lighting {member.name}")
         dry, wet = night.colors(scene, member)
-        members[member.key] = replace(member, gaussians=member.gaussians.with_sh(dry), wet_sh=wet)
-    layers = [members[each.key] for each in scene.layers]
-    if bodies is not None:
-        layers.append(replace(bodies, name=_free_name(scene, bodies.name), wet_sh=bodies.gaussians.sh))
-    if not any(is_sky(each) for each in scene.layers) and not any(
-        shell.any() for shell in surfaces.sky.shells.values()
-    ):
-        layers.append(_dome(scene, core))
+        relit = replace(member, gaussians=member.gaussians.with_sh(dry), wet_sh=wet)
+        if isinstance(relit, Layer):
+            layers.append(relit)
+        else:
+            actors.append(relit)
+    bodies = bodies or bulbs(scene, shining)
+    new = [*([] if bodies is None else [bodies]), *([_dome(scene, core)] if surfaces.sky.tree is None else [])]
+    layers += [replace(each, name=_free_name(scene, each.name), wet_sh=each.gaussians.sh) for each in new]
     yield Progress(1.0, "Done")
-    return replace(
-        scene,
-        layers=tuple(each for each in layers if isinstance(each, Layer)),
-        actors=tuple(each for key in (a.key for a in scene.actors) if isinstance(each := members[key], Actor)),
-        lamps=tuple(shining),
-    )
+    return replace(scene, layers=tuple(layers), actors=tuple(actors), lamps=tuple(shining))
 
 
 def _core(scene: Scene) -> SceneCore:
@@ -307,8 +302,8 @@ class _Night:
         if turn is not None:
             return (own.points - own.points.mean(axis=0)) @ turn.T
         if len(self.eyes):
-            apart = np.stack([np.sum((points - eye) ** 2, axis=1) for eye in self.eyes], axis=1)
-            return self.eyes[np.argmin(apart, axis=1)] - points
+            nearest: Any = KDTree(self.eyes).query(points, workers=-1)[1]
+            return self.eyes[nearest] - points
         steps = 1.5 * self.grid.cell_m * np.eye(3)
         rising = [self.grid.sampled(points + step) - self.grid.sampled(points - step) for step in steps]
         gradient = np.stack(rising, axis=1).astype(np.float64)
@@ -461,5 +456,4 @@ def _dome(scene: Scene, core: SceneCore) -> Layer:
         np.full(_DOME_GAUSSIANS, 0.98, np.float32),
         sh_from_color(colors.astype(np.float32)),
     )
-    name = _free_name(scene, "sky")
-    return Layer(name, gaussians, "sky", np.linalg.inv(scene.scene_to_world), wet_sh=gaussians.sh)
+    return Layer("sky", gaussians, "sky", np.linalg.inv(scene.scene_to_world))
