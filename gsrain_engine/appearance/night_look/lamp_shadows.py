@@ -18,7 +18,8 @@ _BLUR = 0.7  # standard deviation in cells: Gaussians are as large as cells or l
 _ORIENTATION = 0.5  # mean projected area of a disk over all directions, relative to its own
 _OWN_CELLS = 2.5
 """Part of a ray before its end that is left out, in cells: a surface does not shade itself."""
-_LAMP_M = 0.5  # part at a lamp that is left out: its own body, or the real one that it is placed at
+_LAMP_M, _LAMP_CELLS = 0.5, 2.0
+"""Part of a ray at a lamp that is left out, in meters and in cells at least: the body of the lamp."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,13 +73,14 @@ class OpacityGrid:
 @no_type_check
 def _toward(per_m, corner, cell, lamp, points):
     left = np.empty(len(points), np.float32)
+    body = max(_LAMP_M, _LAMP_CELLS * cell)
     for i in numba.prange(len(points)):
         x, y, z = lamp[0] - points[i, 0], lamp[1] - points[i, 1], lamp[2] - points[i, 2]
         length = sqrt(x * x + y * y + z * z)
         if not length > 0:
             left[i] = 1
             continue
-        left[i] = exp(-_depth(per_m, corner, cell, points[i], x / length, y / length, z / length, length - _LAMP_M))
+        left[i] = exp(-_depth(per_m, corner, cell, points[i], x / length, y / length, z / length, length - body))
     return left
 
 

@@ -43,9 +43,9 @@ from .lanterns import bulbs, default_lamps
 
 _NEUTRAL = WetSettings(sun_removal=1.0, coolness=0.0)
 """Clouds of neutral color, in whose light a color is the reflectance but for a factor."""
-_GROUND_ALBEDO, _MEAN_ALBEDO, _LEAF_ALBEDO = 0.12, 0.18, 0.09
-"""Reflectance of level gray ground, such as asphalt; of the middle of a scene without it, for which exposure meters are
-made (ISO 2720); and the mean of leaves in visible light (Gates et al. 1965), at least."""
+_GROUND_ALBEDO, _MEAN_ALBEDO, _LEAF_ALBEDO = 0.15, 0.18, 0.09
+"""Reflectance of level gray ground, such as weathered asphalt; of the middle of a scene without it, for which exposure
+meters are made (ISO 2720); and the mean of leaves in visible light (Gates et al. 1965), at least."""
 _FACTOR, _MAX_ALBEDO = (0.3, 2.5), 0.85
 """Range of the factors by which these are reached, and the reflectance of the whitest."""
 
