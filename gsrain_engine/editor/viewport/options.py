@@ -70,6 +70,8 @@ class QualityLevel(NamedTuple):
     """Ratio of the rendered to the displayed side length."""
     has_backdrop: bool = False
     """True if what stands still is drawn once, for many pictures."""
+    error_px: float = 0.0
+    """Largest details that are merged, in pixels of the rendered image; 0 merges none."""
 
     @property
     def is_exact(self) -> bool:
@@ -80,7 +82,8 @@ class QualityLevel(NamedTuple):
         subset = f"1/{round(1 / self.gaussians)} of the Gaussians" if self.gaussians < 1 else ""
         resolution = f"{self.scale:.0%} resolution" if self.scale < 1 else ""
         backdrop = "rain over a still scene" if self.has_backdrop else ""
-        return ", ".join(filter(None, [subset, backdrop, resolution]))
+        merged = f"details under {self.error_px:g} px merged" if self.error_px > 0 else ""
+        return ", ".join(filter(None, [subset, merged, backdrop, resolution]))
 
 
 FULL_QUALITY = QualityLevel(1.0, 1.0)
@@ -91,6 +94,12 @@ LEVELS = (
 """First fewer Gaussians, then fewer pixels."""
 BACKDROP_LEVELS = tuple(QualityLevel(1.0, scale, has_backdrop=True) for scale in (1.0, 5 / 6, 2 / 3, 1 / 2))
 """Fewer pixels; the first picture of a size is as slow as an exact one. Most of the others' time is the rain's own."""
+CUT_LEVELS = (
+    FULL_QUALITY,
+    *(QualityLevel(1.0, scale, error_px=error) for scale, error in ((1.0, 1.0), (5 / 6, 1.0), (2 / 3, 1.0))),
+    QualityLevel(1.0, 1 / 2, error_px=1.25), QualityLevel(1.0, 2 / 5, error_px=1.5),
+)  # fmt: skip
+"""Larger details merged, and fewer pixels. Coarser ones would hold the target on slow machines, but hide the scene."""
 
 SETTLED_S = 0.15  # time without changes after which full quality returns
 _TOLERANCE = 1.15
@@ -98,6 +107,7 @@ _PROMISING = 0.55  # share of the target frame time below which a finer level is
 _FORGET_AFTER = 45  # frames after which a level that was too slow may be tried once more
 _PATIENCE = 1.5  # factor on the target while only rain and road users move: no answer to the mouse waits for them
 _FIRST_BACKDROP = 2  # level of backdrops to begin with
+_CUTS_A_HALVING = 3  # levels of cuts from one to another of half its time
 
 
 @dataclass(slots=True)
@@ -106,6 +116,8 @@ class _Ladder:
 
     levels: tuple[QualityLevel, ...]
     present: int = 0
+    halving: int = 1
+    """Number of levels that halve the drawing time at best."""
     too_slow: dict[int, int] = field(default_factory=dict[int, int])
     """Levels that missed the target, with the number of frames until they may be tried once more."""
 
@@ -115,8 +127,9 @@ class _Ladder:
         self.too_slow = {each: left - 1 for each, left in self.too_slow.items() if left > 1}
         if excess > _TOLERANCE:
             self.too_slow[level] = _FORGET_AFTER
-            # One level halves the work at best; never choose the same level twice in a row.
-            self.present = min(max(self.present, level + max(1, round(math.log2(excess)))), len(self.levels) - 1)
+            # Never choose the same level twice in a row.
+            steps = max(1, round(self.halving * math.log2(excess)))
+            self.present = min(max(self.present, level + steps), len(self.levels) - 1)
         elif excess < _PROMISING and level == self.present > 0 and level - 1 not in self.too_slow:
             self.present = level - 1
 
@@ -127,7 +140,10 @@ class AdaptiveQuality:
 
     target_ms: float = 33.0
     enabled: bool = True
+    has_cuts: bool = False
+    """True if details can be merged, so that less is drawn without leaving anything out."""
     _of_all: _Ladder = field(default_factory=lambda: _Ladder(LEVELS))
+    _of_cuts: _Ladder = field(default_factory=lambda: _Ladder(CUT_LEVELS, halving=_CUTS_A_HALVING))
     _of_backdrops: _Ladder = field(default_factory=lambda: _Ladder(BACKDROP_LEVELS, _FIRST_BACKDROP))
     _rested_s: float = math.inf
     _stood_s: float = math.inf
@@ -136,7 +152,8 @@ class AdaptiveQuality:
     def detail(self) -> QualityLevel:
         if not self.enabled or self._rested_s >= SETTLED_S:
             return FULL_QUALITY
-        detail = self._of_all.levels[self._of_all.present]
+        ladder = self._of_cuts if self.has_cuts else self._of_all
+        detail = ladder.levels[ladder.present]
         stands = self._stood_s >= SETTLED_S and not detail.is_exact
         return self._of_backdrops.levels[self._of_backdrops.present] if stands else detail
 
@@ -159,5 +176,7 @@ class AdaptiveQuality:
         excess = frame_ms / self.target_ms
         if detail.has_backdrop:
             self._of_backdrops.measured(detail, excess / _PATIENCE)
-        else:
-            self._of_all.measured(detail, excess)
+            return
+        for ladder in (self._of_all, self._of_cuts):
+            if detail in ladder.levels:
+                ladder.measured(detail, excess)
