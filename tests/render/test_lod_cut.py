@@ -91,12 +91,16 @@ def test_the_window_draws_a_coarser_cut_of_a_large_scene_in_less_time(
     monkeypatch: pytest.MonkeyPatch, view: live_view.LiveView
 ) -> None:
     scene = far_scene(monkeypatch)
-    assert view.thinning(FULL_QUALITY, scene) is None and isinstance(view.thinning(QualityLevel(0.25, 1.0), scene), LodSubset)
+    assert view.thinning(FULL_QUALITY, scene) is None and isinstance(
+        view.thinning(QualityLevel(0.25, 1.0), scene), LodSubset
+    )
     monkeypatch.setattr(live_view, "MIN_GAUSSIANS", 100)
     rest, quick = view.thinning(FULL_QUALITY, scene), view.thinning(QualityLevel(0.25, 1.0), scene)
     assert rest == LodCut() and isinstance(quick, LodCut)
     assert quick.pixel == 2 * LodCut().pixel and quick.others == LodSubset(0.25)
-    assert view.thinning(FULL_QUALITY, scene, exact=True) is None and view.thinning(FULL_QUALITY, scene, "depth") is None
+    assert (
+        view.thinning(FULL_QUALITY, scene, exact=True) is None and view.thinning(FULL_QUALITY, scene, "depth") is None
+    )
     assert view.thinning(FULL_QUALITY, small_scene()) is None  # without trees
     uploads = list(live_view.uploads_of(scene.members))
     assert len(uploads) == 6 and uploads[1][0] is scene.layers[0].tree.nodes

@@ -77,6 +77,13 @@ class QualityLevel(NamedTuple):
     def is_exact(self) -> bool:
         return self == FULL_QUALITY
 
+    @property
+    def patience(self) -> float:
+        """Factor on the target frame time: longer where no answer to the mouse waits, or less would hide the scene."""
+        if self.has_backdrop:
+            return 1.5
+        return 2.0 if self.error_px > 0 and self.scale <= 1 / 2 else 1.0
+
     def __str__(self) -> str:
         """Describe the level; empty for full quality."""
         subset = f"1/{round(1 / self.gaussians)} of the Gaussians" if self.gaussians < 1 else ""
@@ -96,16 +103,15 @@ BACKDROP_LEVELS = tuple(QualityLevel(1.0, scale, has_backdrop=True) for scale in
 """Fewer pixels; the first picture of a size is as slow as an exact one. Most of the others' time is the rain's own."""
 CUT_LEVELS = (
     FULL_QUALITY,
-    *(QualityLevel(1.0, scale, error_px=error) for scale, error in ((1.0, 1.0), (5 / 6, 1.0), (2 / 3, 1.0))),
-    QualityLevel(1.0, 1 / 2, error_px=1.25), QualityLevel(1.0, 2 / 5, error_px=1.5),
-)  # fmt: skip
-"""Larger details merged, and fewer pixels. Coarser ones would hold the target on slow machines, but hide the scene."""
+    *(QualityLevel(1.0, scale, error_px=1.0) for scale in (1.0, 5 / 6, 2 / 3)),
+    *(QualityLevel(1.0, scale, error_px=error) for scale, error in ((1 / 2, 1.25), (2 / 5, 1.5), (1 / 3, 1.5))),
+)
+"""Details merged, and fewer pixels."""
 
 SETTLED_S = 0.15  # time without changes after which full quality returns
 _TOLERANCE = 1.15
-_PROMISING = 0.55  # share of the target frame time below which a finer level is tried
+_PROMISING = 1.1  # share of the target frame time that a finer level may be expected to take when it is tried
 _FORGET_AFTER = 45  # frames after which a level that was too slow may be tried once more
-_PATIENCE = 1.5  # factor on the target while only rain and road users move: no answer to the mouse waits for them
 _FIRST_BACKDROP = 2  # level of backdrops to begin with
 _CUTS_A_HALVING = 3  # levels of cuts from one to another of half its time
 
@@ -125,13 +131,15 @@ class _Ladder:
         """Record the drawing time of a frame, relative to the target."""
         level = self.levels.index(detail)
         self.too_slow = {each: left - 1 for each, left in self.too_slow.items() if left > 1}
-        if excess > _TOLERANCE:
+        if excess > _TOLERANCE * detail.patience:
             self.too_slow[level] = _FORGET_AFTER
             # Never choose the same level twice in a row.
-            steps = max(1, round(self.halving * math.log2(excess)))
-            self.present = min(max(self.present, level + steps), len(self.levels) - 1)
-        elif excess < _PROMISING and level == self.present > 0 and level - 1 not in self.too_slow:
-            self.present = level - 1
+            if level == self.present:
+                steps = max(1, round(self.halving * math.log2(excess / detail.patience)))
+                self.present = min(level + steps, len(self.levels) - 1)
+        elif level == self.present > 0 and level - 1 not in self.too_slow:
+            expected = excess * 2 ** (1 / self.halving)
+            self.present -= expected < _PROMISING * self.levels[level - 1].patience
 
 
 @dataclass(slots=True)
@@ -174,9 +182,6 @@ class AdaptiveQuality:
     def measured(self, detail: QualityLevel, frame_ms: float) -> None:
         """Record the drawing time of a frame."""
         excess = frame_ms / self.target_ms
-        if detail.has_backdrop:
-            self._of_backdrops.measured(detail, excess / _PATIENCE)
-            return
-        for ladder in (self._of_all, self._of_cuts):
+        for ladder in (self._of_all, self._of_cuts, self._of_backdrops):
             if detail in ladder.levels:
                 ladder.measured(detail, excess)
