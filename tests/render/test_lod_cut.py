@@ -90,12 +90,10 @@ def test_an_export_draws_a_cut_except_with_depth(monkeypatch: pytest.MonkeyPatch
 def test_the_window_draws_a_coarser_cut_of_a_large_scene_in_less_time(
     monkeypatch: pytest.MonkeyPatch, view: live_view.LiveView
 ) -> None:
-    scene = far_scene(monkeypatch)
-    assert view.thinning(FULL_QUALITY, scene) is None and isinstance(
-        view.thinning(QualityLevel(0.25, 1.0), scene), LodSubset
-    )
+    scene, quarter = far_scene(monkeypatch), QualityLevel(0.25, 1.0)
+    assert view.thinning(FULL_QUALITY, scene) is None and isinstance(view.thinning(quarter, scene), LodSubset)
     monkeypatch.setattr(live_view, "MIN_GAUSSIANS", 100)
-    rest, quick = view.thinning(FULL_QUALITY, scene), view.thinning(QualityLevel(0.25, 1.0), scene)
+    rest, quick = view.thinning(FULL_QUALITY, scene), view.thinning(quarter, scene)
     assert rest == LodCut() and isinstance(quick, LodCut)
     assert quick.pixel == 2 * LodCut().pixel and quick.others == LodSubset(0.25)
     assert (

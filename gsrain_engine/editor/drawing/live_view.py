@@ -49,7 +49,7 @@ _FEWER = 1 / 8  # share of the Gaussians of parts without a tree, in pictures th
 _FEWER_ASIDE = QualityLevel(1 / 8, 1.0)  # of small images next to the viewport, during playback
 _MERGED_ASIDE = QualityLevel(1.0, 1.0, error_px=1.0)  # the same, where details can be merged
 _SHARPNESS = 0.75
-"""Of pictures with fewer pixels, which the display enlarges: the PSNR of the street against exact pictures is highest."""
+"""Of pictures with fewer pixels, which are enlarged: pictures of the street are nearest to exact ones then."""
 _ASIDE_TIME = 1 / 10  # share of the time that these images take, during playback
 _CHUNK_SIZE = 1 << 16  # number of new Gaussians that a frame uploads directly; for more, the last scene stays visible
 
