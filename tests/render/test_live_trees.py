@@ -12,7 +12,7 @@ from gsrain_engine.editor.drawing.live_trees import LiveCut, LiveTrees
 from gsrain_engine.editor.drawing.live_view import LiveView
 from gsrain_engine.editor.drawing.remote_view import RemotePictures, RemoteViewer
 from gsrain_engine.editor.editor import Editor
-from gsrain_engine.editor.viewport.options import CUT_LEVELS, FULL_QUALITY
+from gsrain_engine.editor.viewport.options import CUT_LEVELS, FULL_QUALITY, REFINED
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.render.draw import LodSubset, RenderView, subset_items
@@ -169,6 +169,7 @@ def test_the_window_merges_while_the_camera_moves_and_is_exact_at_rest(editor_of
     assert result.frame.quality in CUT_LEVELS[1:] and not result.frame.quality.is_exact
     assert editor.viewport.statistics["merged details MB"] > 0.1
     assert editor.viewport.statistics["Gaussians"] < editor.document.scene.gaussian_count / 3
+    assert drawn(moving=False).frame.quality == REFINED
     result = drawn(moving=False)
     exact = np.frombuffer(result.textures[0].read(), np.uint8)
     alone = LiveView(ready_view.context, "cpu").draw(editor.render_input(*SIZE))

@@ -264,7 +264,8 @@ class LiveView:
         glass, name = None, f"pane/{self._panes.index(pane)}"
         if rainfall is not None and has_glass(rainfall, frame.mode):
             glass = self._glass.before(self._renderer, scene, rainfall, sky, frame.view, name)
-        with self._interruptible(), nullcontext() if quality.is_exact else half_of_cores():
+        is_alone = quality.is_exact or not (frame.is_moving or frame.is_playing)
+        with self._interruptible(), nullcontext() if is_alone else half_of_cores():
             draw_view(
                 self._renderer, scene, rainfall, sky, frame.view, look=frame.mode, thinning=thinning,
                 reflected=thinning.reflected if isinstance(thinning, LiveCut) else None, selection=selection,

@@ -107,12 +107,15 @@ CUT_LEVELS = (
     *(QualityLevel(1.0, scale, error_px=error) for scale, error in ((1 / 2, 1.25), (2 / 5, 1.5), (1 / 3, 1.5))),
 )
 """Details merged, and fewer pixels."""
+REFINED = CUT_LEVELS[3]
+"""Quality of a picture between one in motion and a full one that takes long."""
 
 SETTLED_S = 0.15  # time without changes after which full quality returns
 _TOLERANCE = 1.15
 _PROMISING = 1.1  # share of the target frame time that a finer level may be expected to take when it is tried
 _FORGET_AFTER = 45  # frames after which a level that was too slow may be tried once more
 _FIRST_BACKDROP = 2  # level of backdrops to begin with
+_LONG_MS = 150.0  # drawing time of a full picture from which on a refined one comes first
 _CUTS_A_HALVING = 3  # levels of cuts from one to another of half its time
 
 
@@ -155,13 +158,19 @@ class AdaptiveQuality:
     _of_backdrops: _Ladder = field(default_factory=lambda: _Ladder(BACKDROP_LEVELS, _FIRST_BACKDROP))
     _rested_s: float = math.inf
     _stood_s: float = math.inf
+    _full_ms: float = 0.0
+    _is_coarse: bool = False
+    """True if something has moved since a refined or full picture."""
 
     @property
     def detail(self) -> QualityLevel:
-        if not self.enabled or self._rested_s >= SETTLED_S:
-            return FULL_QUALITY
         ladder = self._of_cuts if self.has_cuts else self._of_all
         detail = ladder.levels[ladder.present]
+        if not self.enabled:
+            return FULL_QUALITY
+        if self._rested_s >= SETTLED_S:
+            refines = self._is_coarse and self.has_cuts and self._full_ms > _LONG_MS and not detail.is_exact
+            return REFINED if refines else FULL_QUALITY
         stands = self._stood_s >= SETTLED_S and not detail.is_exact
         return self._of_backdrops.levels[self._of_backdrops.present] if stands else detail
 
@@ -176,11 +185,17 @@ class AdaptiveQuality:
         `stands` is true if only rain and road users change it, and they can be drawn over a backdrop.
         """
         self._rested_s = 0.0 if moving else self._rested_s + real_s
+        self._is_coarse |= moving
         self._stood_s = self._stood_s + real_s if stands else 0.0
         return self.detail
 
     def measured(self, detail: QualityLevel, frame_ms: float) -> None:
         """Record the drawing time of a frame."""
+        self._full_ms = frame_ms if detail.is_exact else self._full_ms
+        if (detail.is_exact or detail == REFINED) and self._rested_s > 0:
+            self._is_coarse = False
+        if detail == REFINED and self._rested_s >= SETTLED_S:
+            return  # with all cores
         excess = frame_ms / self.target_ms
         for ladder in (self._of_all, self._of_cuts, self._of_backdrops):
             if detail in ladder.levels:
