@@ -48,7 +48,7 @@ _MIRROR_EVERY = 3  # pictures of reduced quality that share a mirror image
 _FEWER = 1 / 8  # share of the Gaussians of parts without a tree, in pictures that merge details
 _FEWER_ASIDE = QualityLevel(1 / 8, 1.0)  # of small images next to the viewport, during playback
 _MERGED_ASIDE = QualityLevel(1.0, 1.0, error_px=1.0)  # the same, where details can be merged
-_SHARPNESS = 0.75
+SHARPNESS = 0.75
 """Of pictures with fewer pixels, which are enlarged: pictures of the street are nearest to exact ones then."""
 _ASIDE_TIME = 1 / 10  # share of the time that these images take, during playback
 _CHUNK_SIZE = 1 << 16  # number of new Gaussians that a frame uploads directly; for more, the last scene stays visible
@@ -272,7 +272,7 @@ class LiveView:
                 reuse=None if quality.is_exact else pane.reuse, still=pane.still if quality.has_backdrop else None,
             )  # fmt: skip
         picture = self._picture(glass, name, frame.background)
-        sharpness = _SHARPNESS if quality.scale < 1 else 0.0
+        sharpness = SHARPNESS if quality.scale < 1 else 0.0
         pane.texture = pane.screen.show(picture, frame.background, 2.0**frame.gain_ev, sharpness)
         pane.state, pane.scene = state, scene
         return True
