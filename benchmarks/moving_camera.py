@@ -1,6 +1,6 @@
-"""What does the window show while the camera moves, and how long does it take? Prints JSON, then a line for each level.
+"""Pictures that the window shows while the camera moves: likeness and time. Prints JSON, then a line for each level.
 
-Pictures of each level of quality, with fewer Gaussians and with merged details, against the full picture, in 960 x 640
+Each level of quality, with fewer Gaussians and with merged details, is compared with the full picture, in 960 x 640
 from six places: along the drive of a scene with an ego vehicle, or on an orbit around any other. They are enlarged and
 sharpened as on the screen. Time is that of the processor, on one thread, all levels in turns.
 """

@@ -11,6 +11,7 @@ from gsrain_engine.editor.drawing import live_trees
 from gsrain_engine.editor.drawing.live_trees import LiveCut, LiveTrees
 from gsrain_engine.editor.drawing.live_view import LiveView
 from gsrain_engine.editor.drawing.remote_view import RemotePictures, RemoteViewer
+from gsrain_engine.editor.drawing.textures import CpuTexture
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.viewport.options import CUT_LEVELS, FULL_QUALITY, REFINED
 from gsrain_engine.rain.settings import RainSettings
@@ -102,7 +103,7 @@ def test_edits_that_leave_the_gaussians_are_in_the_next_picture(edit: str) -> No
     assert count < 6000
 
 
-def test_other_gaussians_get_a_tree_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_other_gaussians_get_a_tree_of_their_own() -> None:
     scene = fine_scene()
     trees = built(scene)
     other = darkened(scene)
@@ -118,11 +119,18 @@ def test_other_gaussians_get_a_tree_of_their_own(monkeypatch: pytest.MonkeyPatch
     del other
     gc.collect()
     assert held() is None and trees.nbytes == 0
-    monkeypatch.setattr(live_trees, "build_lod_tree", lambda gaussians: 1 / 0)
+
+
+def test_gaussians_that_can_not_be_merged_are_tried_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    tried: list[int] = []
+    monkeypatch.setattr(live_trees, "build_lod_tree", lambda gaussians: tried.append(len(gaussians)) or 1 / 0)
+    scene = fine_scene()
+    trees = built(scene)
     for _ in range(3):
         trees.follow([scene])
         trees.wait()
-    assert not trees.cover([scene]) and not trees._thread.is_alive()
+    assert tried == [8100, 8100] and not trees.cover([scene])
+    assert 0 < frame(scene, trees)[1] < 4000  # fewer Gaussians instead
 
 
 @pytest.fixture
@@ -142,9 +150,8 @@ def editor_of():
 @pytest.fixture
 def ready_view(context, monkeypatch):
     """A view whose processor back end is ready."""
-    view = LiveView(context, "cpu")
-    monkeypatch.setattr(type(view._cpu), "is_ready", True)
-    return view
+    monkeypatch.setattr(CpuTexture, "is_ready", True)
+    return LiveView(context, "cpu")
 
 
 def test_the_window_merges_while_the_camera_moves_and_is_exact_at_rest(editor_of, ready_view) -> None:
@@ -181,15 +188,16 @@ def test_the_window_merges_while_the_camera_moves_and_is_exact_at_rest(editor_of
 
 def test_viewers_on_other_screens_get_merged_details_too() -> None:
     scene = fine_scene()
-    pictures, viewer = RemotePictures(CpuRenderer(), scene, RainSettings(intensity_mm_h=0.0), CAMERA), None
+    renderer = CpuRenderer()
+    pictures = RemotePictures(renderer, scene, RainSettings(intensity_mm_h=0.0), CAMERA)
     viewer = RemoteViewer(RenderView(CAMERA))
     exact = pictures.picture(viewer, FULL_QUALITY)
-    pictures._trees.wait()
+    pictures.trees.wait()
     pictures.picture(viewer, FULL_QUALITY)
     assert viewer.budget.has_cuts
     merged = pictures.picture(viewer, CUT_LEVELS[1])
     assert np.abs(merged.astype(int) - exact).mean() < 3
-    assert pictures._renderer.statistics.gaussians < scene.gaussian_count / 3
+    assert renderer.statistics.gaussians < scene.gaussian_count / 3
 
 
 def test_enlarged_pictures_are_sharpened(context) -> None:

@@ -27,7 +27,7 @@ _Role = Literal["left out", "selected"]
 _Harmonics = Float32[np.ndarray, "n k 3"]
 
 
-class _Wanted(NamedTuple):
+class _Pending(NamedTuple):
     """Gaussians whose tree is to be built, with their wet colors."""
 
     gaussians: Gaussians
@@ -37,7 +37,7 @@ class _Wanted(NamedTuple):
 class _Built(NamedTuple):
     """A finished tree with its wet colors; None if it could not be built."""
 
-    wanted: _Wanted
+    pending: _Pending
     tree: LodTree | None
     wet_sh: _Harmonics | None
 
@@ -56,7 +56,7 @@ class LiveTrees:
         """Wet colors of Gaussians, and of the nodes of their tree."""
         self._masks: dict[tuple[IdentityKey, _Role], tuple[BitMask, Bool[np.ndarray, " m"]]] = {}
         self._seen, self._failed = set[IdentityKey](), set[IdentityKey]()
-        self._queue, self._finished = deque[_Wanted](), deque[_Built]()
+        self._queue, self._finished = deque[_Pending](), deque[_Built]()
         self._building: IdentityKey | None = None
         self._thread: threading.Thread | None = None
 
@@ -81,7 +81,7 @@ class LiveTrees:
                 del known[key]
         self._masks = {of: mask for of, mask in self._masks.items() if of[0] in members}
         lacking = [
-            _Wanted(each.gaussians, each.wet_sh)
+            _Pending(each.gaussians, each.wet_sh)
             for key, each in members.items()
             if not (self._has_tree(each) or key in self._failed or key == self._building)
             and (at_once or key in self._seen)
@@ -140,14 +140,14 @@ class LiveTrees:
                     self._finished.append(self._built(self._queue.popleft()))
                     self._building = None
 
-    def _built(self, wanted: _Wanted) -> _Built:
-        self._building = IdentityKey(wanted.gaussians)
+    def _built(self, pending: _Pending) -> _Built:
+        self._building = IdentityKey(pending.gaussians)
         try:
-            tree = build_lod_tree(wanted.gaussians)
-            return _Built(wanted, tree, None if wanted.wet_sh is None else average_below(tree, wanted.wet_sh))
+            tree = build_lod_tree(pending.gaussians)
+            return _Built(pending, tree, None if pending.wet_sh is None else average_below(tree, pending.wet_sh))
         except Exception:  # pictures go on with fewer Gaussians instead
             logger.exception("Details can't be merged for pictures in motion; they show fewer Gaussians instead")
-            return _Built(wanted, None, None)
+            return _Built(pending, None, None)
 
 
 def _large_members(scene: Scene) -> list[Layer | Actor]:

@@ -78,7 +78,8 @@ class RemotePictures:
         self._skies: dict[bool, SkyColor] = {}
         self._subsets: dict[float, LodSubset] = {}
         self._optics = CameraOptics()
-        self._trees = LiveTrees()
+        self.trees = LiveTrees()
+        """Trees of the scene, for pictures by the processor."""
 
     def change(self, scene: Scene, rain: RainSettings) -> None:
         """Show another scene or rain from now on.
@@ -113,8 +114,8 @@ class RemotePictures:
         optics = self._optics.of(self._renderer, scene, rainfall, sky, view, camera=name)
         if isinstance(self._renderer, CpuRenderer):
             self._renderer.checkpoint = checkpoint
-            self._trees.follow([scene], at_once=True)
-            viewer.budget.has_cuts = self._trees.cover([scene])
+            self.trees.follow([scene], at_once=True)
+            viewer.budget.has_cuts = self.trees.cover([scene])
         thinning = self._thinning(quality)
         try:
             draw_view(
@@ -140,7 +141,7 @@ class RemotePictures:
         share = _FEWER if quality.error_px > 0 else quality.gaussians
         subset = None if share == 1 else self._subsets.setdefault(share, LodSubset(share))
         if quality.error_px > 0 and subset is not None:
-            return LiveCut(quality.error_px, self._trees, subset)
+            return LiveCut(quality.error_px, self.trees, subset)
         if self._scene.gaussian_count >= MIN_GAUSSIANS and any(each.tree is not None for each in self._scene.members):
             return LodCut(PIXEL / math.sqrt(share), subset)
         return subset
