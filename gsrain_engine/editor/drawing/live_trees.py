@@ -4,7 +4,6 @@ import logging
 import threading
 from collections import deque
 from collections.abc import Iterable
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
@@ -59,44 +58,42 @@ class LiveTrees:
         self._queue, self._finished = deque[_Pending](), deque[_Built]()
         self._building: IdentityKey | None = None
         self._thread: threading.Thread | None = None
+        self._lock = threading.Lock()
+        """Guards the queue, what is being built and what is finished."""
 
     def follow(self, scenes: Iterable[Scene], *, at_once: bool = False) -> None:
         """Take finished trees, drop those of Gaussians that are no longer there, and begin to build missing ones.
 
         Once per picture. Gaussians have to be there in two pictures, unless `at_once`: those of a drag are not.
         """
-        members = {IdentityKey(each.gaussians): each for scene in scenes for each in _large_members(scene)}
-        while self._finished:
-            (gaussians, wet_sh), tree, merged = self._finished.popleft()
-            key = IdentityKey(gaussians)
-            if tree is None:
-                self._failed.add(key)
-                continue
-            self._trees[key] = tree
-            if wet_sh is not None and merged is not None:
-                self._wet[key] = wet_sh, merged
-        self._failed &= members.keys()
-        for known in (self._trees, self._wet):
-            for key in known.keys() - members.keys():
-                del known[key]
-        self._masks = {of: mask for of, mask in self._masks.items() if of[0] in members}
-        lacking = [
-            _Pending(each.gaussians, each.wet_sh)
-            for key, each in members.items()
-            if not (self._has_tree(each) or key in self._failed or key == self._building)
-            and (at_once or key in self._seen)
-        ]
-        self._seen = set(members)
-        self._queue.clear()
-        self._queue.extend(sorted(lacking, key=lambda each: -len(each.gaussians)))
-        if lacking and (self._thread is None or not self._thread.is_alive()):
-            self._thread = threading.Thread(target=self._build, name="level of detail", daemon=True)
-            self._thread.start()
+        scenes = list(scenes)
+        there = {IdentityKey(each.gaussians) for scene in scenes for each in scene.members}
+        large = {IdentityKey(each.gaussians): each for scene in scenes for each in _large_members(scene)}
+        with self._lock:
+            while self._finished:
+                self._take(self._finished.popleft())
+            for known in (self._trees, self._wet):
+                for key in known.keys() - there:
+                    del known[key]
+            self._failed &= there
+            self._masks = {of: mask for of, mask in self._masks.items() if of[0] in there}
+            lacking = [
+                _Pending(each.gaussians, each.wet_sh)
+                for key, each in large.items()
+                if not (self._has_tree(each) or key in self._failed or key == self._building)
+                and (at_once or key in self._seen)
+            ]
+            self._seen = set(large)
+            self._queue.clear()
+            self._queue.extend(sorted(lacking, key=lambda each: -len(each.gaussians)))
+            if lacking and self._thread is None:
+                self._thread = threading.Thread(target=self._build, name="level of detail", daemon=True)
+                self._thread.start()
 
     def wait(self) -> None:
         """Wait until nothing is being built; `follow` takes the trees."""
-        if self._thread is not None:
-            self._thread.join()
+        if (thread := self._thread) is not None:
+            thread.join()
 
     def of(self, part: DrawItem) -> LodTree | None:
         """Tree of a part's Gaussians; None if there is none yet."""
@@ -132,22 +129,45 @@ class LiveTrees:
         own = member.tree is not None and member.tree.fits(member.gaussians)
         return own or IdentityKey(member.gaussians) in self._trees
 
+    def _take(self, built: _Built) -> None:
+        (gaussians, wet_sh), tree, merged = built
+        key = IdentityKey(gaussians)
+        if tree is None:
+            self._failed.add(key)
+            return
+        self._trees[key] = tree
+        if wet_sh is not None and merged is not None:
+            self._wet[key] = wet_sh, merged
+
     def _build(self) -> None:
+        """Build the trees of the queue, on the thread."""
         lower_thread_priority()
         with half_of_cores():
-            while self._queue:
-                with suppress(IndexError):  # the queue was emptied meanwhile
-                    self._finished.append(self._built(self._queue.popleft()))
+            while (pending := self._next()) is not None:
+                built = _built(pending)
+                with self._lock:
+                    self._finished.append(built)
                     self._building = None
+                del pending, built
 
-    def _built(self, pending: _Pending) -> _Built:
-        self._building = IdentityKey(pending.gaussians)
-        try:
-            tree = build_lod_tree(pending.gaussians)
-            return _Built(pending, tree, None if pending.wet_sh is None else average_below(tree, pending.wet_sh))
-        except Exception:  # pictures go on with fewer Gaussians instead
-            logger.exception("Details can't be merged for pictures in motion; they show fewer Gaussians instead")
-            return _Built(pending, None, None)
+    def _next(self) -> _Pending | None:
+        with self._lock:
+            if not self._queue:
+                self._thread = None
+                return None
+            pending = self._queue.popleft()
+            self._building = IdentityKey(pending.gaussians)
+            return pending
+
+
+def _built(pending: _Pending) -> _Built:
+    gaussians, wet_sh = pending
+    try:
+        tree = build_lod_tree(gaussians)
+        return _Built(pending, tree, None if wet_sh is None else average_below(tree, wet_sh))
+    except Exception:  # pictures go on with fewer Gaussians instead
+        logger.exception("Details can't be merged for pictures in motion; they show fewer Gaussians instead")
+        return _Built(pending, None, None)
 
 
 def _large_members(scene: Scene) -> list[Layer | Actor]:
