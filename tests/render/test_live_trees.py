@@ -108,16 +108,22 @@ def test_edits_that_leave_the_gaussians_are_in_the_next_picture(edit: str) -> No
     assert psnr_db(unmerged, exact) > 38  # equal depths are drawn in another order
 
 
-def test_other_gaussians_get_a_tree_of_their_own() -> None:
-    scene = fine_scene()
-    trees = built(scene)
-    for _ in range(3):  # a drag: other Gaussians in each picture
+def test_gaussians_of_a_drag_get_no_tree() -> None:
+    scene, trees = fine_scene(), LiveTrees()
+    for _ in range(3):  # other Gaussians in each picture
         other = darkened(scene)
         trees.follow([other])
         trees.wait()
-    trees.follow([scene])
+    trees.follow([scene, other])  # would take a tree of the last ones
     assert not trees.cover([other]) and trees.nbytes == 0
+
+
+def test_other_gaussians_get_a_tree_of_their_own() -> None:
+    scene = fine_scene()
+    trees = built(scene)
+    other = darkened(scene)
     trees.follow([other])
+    assert not trees.cover([other]) and trees.nbytes == 0
     assert frame(other, trees)[1] < 4000  # fewer Gaussians meanwhile
     trees.follow([other])
     trees.wait()
