@@ -110,7 +110,8 @@ class Measurement:
         if editor.jobs.all and editor.jobs.all[-1].state != "running":
             raise RuntimeError(f"the job ended early: {editor.jobs.all[-1].state}; measure fewer --seconds")
         if self._name.endswith("orbit"):
-            editor.viewport.orbit(_ORBIT_RAD_S * imgui.get_io().delta_time, 0.0)
+            turn = -1 if now % 2 < 1 else 1  # to and fro, before the same houses
+            editor.viewport.orbit(turn * _ORBIT_RAD_S * imgui.get_io().delta_time, 0.0)
         if now >= self._phase.begins_s:
             if not self._phase.frames_s:
                 self._phase.job_s = -_worker_s()
