@@ -263,7 +263,7 @@ class Editor:
         assert frame is not None
         viewport.picture_view = frame.canvas_view
         viewport.is_compiling, viewport.is_catching_up = result.is_compiling, result.is_catching_up
-        viewport.is_preparing = result.is_preparing
+        viewport.is_preparing, viewport.budget.has_cuts = result.is_preparing, result.has_cuts
         for problem in result.problems:
             self.status.report(problem)
         if result.drawn is not None:

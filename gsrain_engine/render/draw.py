@@ -86,6 +86,7 @@ def draw_view(
     with_depth: bool = False,
     look: RenderMode = "splats",
     thinning: "Thinning | None" = None,
+    reflected: "Thinning | None" = None,
     selection: bool = False,
     falls: bool = True,
     reuse: MirrorReuse | None = None,
@@ -95,9 +96,9 @@ def draw_view(
 
     Wet colors follow the rain's wetness and fog, and the sky its share of clouds, also if nothing `falls`; without
     `rainfall` the scene is clear and dry. With the rain's `mirror`, water on the ground reflects the scene. `thinning`
-    leaves out some of each part's Gaussians; `selection` tints selected ones; `reuse` draws fewer mirrors, and `still`
-    what stands still only once, by a renderer that can. Spray counts in depth: where `has_spray`, draw the scene's own
-    depth without rain.
+    leaves out some of each part's Gaussians, `reflected` others in mirrors; `selection` tints selected ones; `reuse`
+    draws fewer mirrors, and `still` what stands still only once, by a renderer that can. Spray counts in depth: where
+    `has_spray`, draw the scene's own depth without rain.
     """
     rain, wetness, soaked, overcast = None, 0.0, 0.0, 0.0
     lamps = scene.lamps if rainfall is None else rainfall.lamps_of(scene, shot.time_s)
@@ -133,9 +134,10 @@ def draw_view(
         parts = reflecting_items(parts, scene)
         waves = ring_waves(scene, rainfall, level, shot.time_s, shot.focal_px) if falls else None
         water = wetness, flooded_share(depth.film_mm), sky.drops
+        below = partial(subset_items, items, reflected or thinning)
         reflect = partial(
-            draw_mirror, renderer, scene, partial(subset_items, items, thinning), rain, level, *water, lit_lamps,
-            standing, waves, SHARE if still is None else FAST_SHARE,
+            draw_mirror, renderer, scene, below, rain, level, *water, lit_lamps, standing, waves,
+            SHARE if still is None else FAST_SHARE,
         )  # fmt: skip
         if still is not None:
             mirror = still.mirror(level, before, (*water, standing), reflect, waves)

@@ -570,9 +570,16 @@ class Screen:
         self._next: tuple[moderngl.Texture, moderngl.Framebuffer] | None = None
 
     def show(
-        self, picture: moderngl.Texture, background: Color = (0.0, 0.0, 0.0), gain: float = 1.0
+        self,
+        picture: moderngl.Texture,
+        background: Color = (0.0, 0.0, 0.0),
+        gain: float = 1.0,
+        sharpness: float = 0.0,
     ) -> moderngl.Texture:
-        """Tone-map a premultiplied image; `gain` multiplies linear light."""
+        """Tone-map a premultiplied image; `gain` multiplies linear light.
+
+        `sharpness` is a factor on each pixel's difference from its four neighbors, for images that are enlarged.
+        """
         if self._next is not None and self._next[0].size != picture.size:
             for old in reversed(self._next):
                 old.release()
@@ -584,6 +591,7 @@ class Screen:
         texture, framebuffer = self._last
         picture.use(0)
         self._program["picture"], self._program["background"], self._program["gain"] = 0, background, gain
+        self._program["sharpness"] = sharpness
         before = self._context.detect_framebuffer()
         framebuffer.use()
         self._vertices.render(moderngl.TRIANGLES, vertices=3)
