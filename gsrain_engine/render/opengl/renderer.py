@@ -80,8 +80,8 @@ class Framebuffer:
         if max(layout.size) > largest:
             width, height = layout.size
             raise ValueError(
-                f"the size {width}x{height} with its supersampling exceeds the {largest} px of this graphics card: take "
-                "a smaller one, or the back end cpu"
+                f"a picture of {width}x{height} samples exceeds the {largest} px of this graphics card: choose a "
+                "smaller size or supersampling, or the back end cpu"
             )
         color = context.texture(layout.size, 4, dtype="f4")
         color.filter = moderngl.NEAREST, moderngl.NEAREST
