@@ -295,9 +295,9 @@ def picture_drive(camera: Photographer) -> None:
 
 # Sheets of all panels, in both themes and two scales
 
-_SHEET_WIDTH = 1140
+_SHEET_WIDTH = 1320
 _GAP = 12
-_SHEET_COLORS = 64
+_SHEET_COLORS = 256
 
 
 def picture_themes(folder: Path) -> None:
