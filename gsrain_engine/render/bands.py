@@ -69,7 +69,7 @@ class PictureBands:
         self._frame = Frame(rgba, np.concatenate(depths) if depths else None)
 
 
-def is_drawn_at_once(camera: Camera) -> bool:
+def has_one_band(camera: Camera) -> bool:
     """Return whether a picture is small enough for one drawing."""
     return len(list(bands_of(camera))) == 1
 

@@ -15,7 +15,7 @@ from ..scene.camera_path import CameraPath
 from ..scene.rig import rig_camera
 from ..scene.scene import RigCamera, Scene
 from ..water.glass import CameraMotion, GlassState
-from .bands import PictureBands, is_drawn_at_once
+from .bands import PictureBands, has_one_band
 from .camera_optics import CameraOptics, glass_state
 from .camera_response import PictureOptics
 from .draw import LodCut, RenderView, draw_view, has_spray, request_picture
@@ -221,7 +221,7 @@ class FrameSequence:
         """Draw a frame as `image` does, and start to read it back: others can be drawn meanwhile."""
         rainfall, shot = None if sky is None else self.rainfall, self.shot(number)
         is_composed = self.motion_blur > 1 or self.supersampling > 1 or self.projection != "perspective"
-        if is_composed or not is_drawn_at_once(shot.camera):
+        if is_composed or not has_one_band(shot.camera):
             return self.frame(renderer, number, sky, look=look).to_uint8
         color = OVERCAST if sky is None else sky.at(self.rainfall.overcast_at(shot.time_s))
         optics = self._optics_of(renderer, number, color, look, falls=sky is not None)
