@@ -25,6 +25,7 @@ from ..water.leveled_ground import leveled_view
 from ..water.mirror import LensMirror
 from ..water.splashes import Splashes
 from ..water.spray import spray_gaussians, spray_of
+from .bands import PictureBands
 from .camera_response import PictureOptics
 from .cpu.renderer import CpuRenderer
 from .export_settings import Lod
@@ -91,14 +92,15 @@ def draw_view(
     falls: bool = True,
     reuse: MirrorReuse | None = None,
     still: StillScene | None = None,
+    bands: PictureBands | None = None,
 ) -> None:
     """Draw a scene with its rain into the renderer's image; render modes other than "splats" omit the rain.
 
     Wet colors follow the rain's wetness and fog, and the sky its share of clouds, also if nothing `falls`; without
     `rainfall` the scene is clear and dry. With the rain's `mirror`, water on the ground reflects the scene. `thinning`
     leaves out some of each part's Gaussians, `reflected` others in mirrors; `selection` tints selected ones; `reuse`
-    draws fewer mirrors, and `still` what stands still only once, by a renderer that can. Spray counts in depth: where
-    `has_spray`, draw the scene's own depth without rain.
+    draws fewer mirrors, and `still` what stands still only once, by a renderer that can; `bands` of the renderer draw
+    and read the picture instead. Spray counts in depth: where `has_spray`, draw the scene's own depth without rain.
     """
     rain, wetness, soaked, overcast = None, 0.0, 0.0, 0.0
     lamps = scene.lamps if rainfall is None else rainfall.lamps_of(scene, shot.time_s)
@@ -157,7 +159,7 @@ def draw_view(
 
         still.draw(renderer, behind, behind_parts, parts, shot.camera, rain, mirror)
     else:
-        renderer.draw(parts, shot.camera, rain, with_depth=with_depth, look=look, mirror=mirror)
+        (bands or renderer).draw(parts, shot.camera, rain, with_depth=with_depth, look=look, mirror=mirror)
 
 
 def has_splashes(scene: Scene, rainfall: RainSimulation, wetness: float) -> bool:

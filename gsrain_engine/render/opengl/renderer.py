@@ -72,7 +72,17 @@ class Framebuffer:
 
     @classmethod
     def make(cls, context: moderngl.Context, layout: FramebufferLayout) -> "Framebuffer":
-        """Create the textures of a layout; raises `MemoryError` if the graphics card is full."""
+        """Create the textures of a layout.
+
+        Raises `MemoryError` if the graphics card is full, and `ValueError` for a larger picture than it can draw.
+        """
+        largest = int(context.info["GL_MAX_TEXTURE_SIZE"])
+        if max(layout.size) > largest:
+            width, height = layout.size
+            raise ValueError(
+                f"a picture of {width}x{height} samples exceeds the {largest} px of this graphics card: choose a "
+                "smaller size or supersampling, or the back end cpu"
+            )
         color = context.texture(layout.size, 4, dtype="f4")
         color.filter = moderngl.NEAREST, moderngl.NEAREST
         # Without rain the second attachment only keeps the location of the third.
