@@ -133,7 +133,7 @@ def _extent(render_queue: RenderQueue) -> bool:
         return True
     imgui.set_item_tooltip("From the viewport's last image (min:s), without encoding, and while nothing else runs.")
     help_text = "Draw and write a few frames in the background, and estimate the time from them."
-    if extent.frames > 1 and button("Time a few frames", help_text, width=-1, enabled=not render_queue.is_timing):
+    if extent.frames > 1 and button("Estimate the time", help_text, width=-1, enabled=not render_queue.is_timing):
         render_queue.time_frames()
     return True
 
