@@ -106,9 +106,6 @@ class Workspace:
     def update(self) -> None:
         """Advance time. Call it once per frame, before drawing."""
         editor, viewport, wet_look = self.editor, self.editor.viewport, self.editor.wet_look
-        # A press that comes with a move is then taken a frame later. Tabs, and items that others may overlap, ignore
-        # one in the frame that first hovers them, so that clicks would be lost where frames are slow.
-        imgui.get_io().add_mouse_source_event(imgui.MouseSource.touch_screen)
         front = self._settled_front or self._first_front
         self.folded.update({each.window_name for each in all_panels() if each.title in front})
         self._take_picture()
@@ -134,7 +131,6 @@ class Workspace:
             hello_imgui.get_runner_params().app_shall_exit = True
 
     def draw_menus(self) -> None:
-        imgui.get_io().mouse_source = imgui.MouseSource.mouse  # tooltips stay below the pointer
         draw_menus(self.editor)
 
     def draw_status(self) -> None:
