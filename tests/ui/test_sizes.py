@@ -49,6 +49,8 @@ def test_in_a_small_window_panels_fold_to_names_and_one_opens_over_the_view(driv
         editor.preferences.value = replace(editor.preferences.value, font_scale=0.6)
         driver.frames(4)
         assert (folded.hidden, folded.width, is_docked()) == ([], 0.0, True)
+        driver.frames(8)
+        assert {"Layers", "Rain", "Timeline"} <= set(editor.preferences.value.front_panels)
         editor.preferences.value = replace(editor.preferences.value, font_scale=1.0)
         driver.frames(4)
         assert folded.open == "" and [each for each in folded.hidden if each in names] == names

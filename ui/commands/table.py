@@ -441,7 +441,7 @@ COMMAND_GROUPS: tuple[tuple[Command, ...], ...] = (
         Command("Frame the scene", _call("viewport.frame_scene"), "View", "F",
                 "Move back until the selection, else the active layer or actor, else the scene is visible."),
         Command("Go home", _call("viewport.go_home"), "View", "R or Home", "Return to the initial view of the scene."),
-        Command("Show the selection", _toggle("viewport.options.show_selection"), "View", "Shift+S",
+        Command("Highlight the selection", _toggle("viewport.options.show_selection"), "View", "Shift+S",
                 "Tint the selected Gaussians.", is_on=_is("viewport.options.show_selection")),
         Command("Take a screenshot", _call("take_screenshot"), "View", "F12",
                 "Save the viewport as PNG in the pictures folder; the log has its path."),
