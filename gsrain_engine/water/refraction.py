@@ -375,19 +375,21 @@ def _draw_drops(layer, drops, boxes, row_starts, members, view, axes, source, le
 
 @numba.njit(cache=True, nogil=NOGIL)
 @no_type_check
-def _noise(u, v, size, seed):
-    """Smooth noise 0..1 over the pane."""
+def _noise(u, v, size, seed, lattice):
+    """Smooth noise 0..1 over the pane; `lattice` holds a cell and its corners from one call to the next."""
     x, y = u / size, v / size
     column, row = np.floor(x), np.floor(y)
+    if column != lattice[0] or row != lattice[1]:
+        lattice[0], lattice[1] = column, row
+        for corner in range(4):
+            i, j = np.int64(column) + (corner & 1), np.int64(row) + (corner >> 1)
+            a, _, _, _ = pcg4d_scalar(np.uint32(i), np.uint32(j), np.uint32(0x165667B1), seed)
+            lattice[2 + corner] = a * 2.0**-32
     right, above = x - column, y - row
     right, above = right * right * (3 - 2 * right), above * above * (3 - 2 * above)
-    total = 0.0
-    for corner in range(4):
-        i, j = np.int64(column) + (corner & 1), np.int64(row) + (corner >> 1)
-        a, _, _, _ = pcg4d_scalar(np.uint32(i), np.uint32(j), np.uint32(0x165667B1), seed)
-        weight = (right if corner & 1 else 1 - right) * (above if corner >> 1 else 1 - above)
-        total += weight * a * 2.0**-32
-    return total
+    lower = lattice[2] + right * (lattice[3] - lattice[2])
+    upper = lattice[4] + right * (lattice[5] - lattice[4])
+    return lower + above * (upper - lower)
 
 
 @numba.njit(parallel=True, cache=True, nogil=NOGIL)
@@ -402,6 +404,7 @@ def _draw_veil(layer, view, axes, low, film, film_cell, dirt, blade, blurred, se
     tall, wide = blurred.shape[0], blurred.shape[1]
     height, width = (layer.shape[0] - 2 * margin) * cell, (layer.shape[1] - 2 * margin) * cell
     for row in numba.prange(layer.shape[0]):
+        coarse, fine = np.full(6, np.inf), np.full(6, np.inf)
         y = ((row + 0.5 - margin) * cell - cy) / fy
         for column in range(layer.shape[1]):
             x = ((column + 0.5 - margin) * cell - cx) / fx
@@ -416,7 +419,8 @@ def _draw_veil(layer, view, axes, low, film, film_cell, dirt, blade, blurred, se
             is_wiped = blade >= 0.0 and INNER_M <= from_pivot <= OUTER_M
             dirty = 0.0
             if dirt > 0.0:
-                spots = 0.6 * _noise(u, v, _DIRT_M[0], seed) + 0.4 * _noise(u, v, _DIRT_M[1], seed + np.uint32(1))
+                spots = 0.6 * _noise(u, v, _DIRT_M[0], seed, coarse)
+                spots += 0.4 * _noise(u, v, _DIRT_M[1], seed + np.uint32(1), fine)
                 dirty = _DIRT_SHARE * dirt * (0.3 + 1.4 * max(spots - 0.25, 0.0))
                 if is_wiped:
                     dirty *= _WIPED_SHARE
@@ -453,50 +457,51 @@ def _draw_veil(layer, view, axes, low, film, film_cell, dirt, blade, blurred, se
 @numba.njit(parallel=True, cache=True, nogil=NOGIL)
 @no_type_check
 def _blurred(layer, radii):
-    """Average over disks, with the radius of each row in cells; the border goes on outside."""
-    rows, columns = layer.shape[0], layer.shape[1]
-    sums = np.zeros((rows, columns + 1, 4))
+    """Average over disks, with the radius of each row in cells; the sides of the layer, a radius wide, are left out."""
+    rows, width = layer.shape[0], 4 * layer.shape[1]
+    sums = np.empty((rows, width + 4), np.float32)  # of the cells to the left, four channels each
+    made = np.zeros(layer.shape, np.float32)
     for row in numba.prange(rows):
-        for column in range(columns):
+        total = np.zeros(4)
+        for column in range(layer.shape[1]):
             for channel in range(4):
-                sums[row, column + 1, channel] = sums[row, column, channel] + layer[row, column, channel]
-    made = np.empty_like(layer)
+                sums[row, 4 * column + channel] = total[channel]
+                total[channel] += layer[row, column, channel]
+        sums[row, width:] = total
+    flat, flat_made = layer.reshape(rows, width), made.reshape(rows, width)
     for row in numba.prange(rows):
         radius = max(radii[row], 0.5)
         reach = int(np.ceil(radius))
-        weights = np.zeros(2 * reach + 1)
-        halves = np.zeros(2 * reach + 1)
         area = 0.0
-        for k in range(-reach, reach + 1):
-            # Mean half chord over the height of the cell, of the part that has one.
-            top, bottom = min(k + 0.5, radius), max(k - 0.5, -radius)
-            if top <= bottom:
-                continue
-            middle = 0.5 * (top + bottom)
-            halves[k + reach] = np.sqrt(max(radius * radius - middle * middle, 0.0))
-            weights[k + reach] = top - bottom
-            area += 2.0 * halves[k + reach] * (top - bottom)
-        total = np.empty(4)
-        for column in range(columns):
-            total[:] = 0.0
+        for part in range(2):  # the area of the disk, then the sums over its rows
             for k in range(-reach, reach + 1):
-                weight = weights[k + reach]
-                if weight <= 0.0:
+                # Mean half chord over the height of the cell, of the part that has one.
+                top, bottom = min(k + 0.5, radius), max(k - 0.5, -radius)
+                if top <= bottom:
                     continue
-                other = min(max(row + k, 0), rows - 1)
-                low = min(max(column + 0.5 - halves[k + reach], 0.0), float(columns))
-                high = min(max(column + 0.5 + halves[k + reach], 0.0), float(columns))
-                i, j = min(int(low), columns - 1), min(int(high), columns - 1)
-                left, right = low - i, high - j
-                # Outside of the layer the disk has nothing; the margin keeps that from the picture.
-                for channel in range(4):
-                    total[channel] += weight * (
-                        sums[other, j, channel] + right * layer[other, j, channel]
-                        - sums[other, i, channel] - left * layer[other, i, channel]
-                    )  # fmt: skip
-            for channel in range(4):
-                made[row, column, channel] = total[channel] / area
+                middle = 0.5 * (top + bottom)
+                half = np.sqrt(max(radius * radius - middle * middle, 0.0))
+                if part == 0:
+                    area += 2.0 * half * (top - bottom)
+                    continue
+                # The chord begins and ends within cells that are so far to the left and right.
+                i, j = int(np.floor(0.5 - half)), int(np.floor(0.5 + half))
+                left, right = np.float32(0.5 - half - i), np.float32(0.5 + half - j)
+                weight = np.float32((top - bottom) / area)
+                first, last, other = 4 * max(-i, 0), width - 4 * max(j, 0), min(max(row + k, 0), rows - 1)
+                _add_chord(
+                    flat_made[row, first:last], sums[other, first + 4 * j : last + 4 * j],
+                    flat[other, first + 4 * j : last + 4 * j], right, sums[other, first + 4 * i : last + 4 * i],
+                    flat[other, first + 4 * i : last + 4 * i], left, weight,
+                )  # fmt: skip
     return made
+
+
+@numba.njit(cache=True, nogil=NOGIL)
+@no_type_check
+def _add_chord(made, sums_to, to, right, sums_from, start, left, weight):
+    for n in range(len(made)):
+        made[n] += weight * (sums_to[n] - sums_from[n] + (right * to[n] - left * start[n]))
 
 
 @numba.njit(parallel=True, cache=True, nogil=NOGIL)
