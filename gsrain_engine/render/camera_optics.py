@@ -21,7 +21,7 @@ from .camera_response import CameraResponse, PictureOptics, metered_gain
 from .draw import LodSample, RenderView, draw_view, ego_view
 from .renderer import Renderer
 
-WIDE_SHARE = 1 / 16
+WIDE_SHARE = 1 / 32
 """Share of the Gaussians in the wide view behind the glass. Against all of them, pictures of the street have at least
 42 dB by day and 36 to 43 dB by night."""
 

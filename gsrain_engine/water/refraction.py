@@ -507,9 +507,10 @@ def _add_chord(made, sums_to, to, right, sums_from, start, left, weight):
 @numba.njit(parallel=True, cache=True, nogil=NOGIL)
 @no_type_check
 def _composite(image, layer, cell, margin, linear, tones, made):
-    """I (1 - c) + L, with the layer interpolated between its cells."""
+    """I (1 - c) + L, with the layer interpolated between the centers of its cells; cells have 1, 2, 4... pixels."""
     height, width, top = image.shape[0], image.shape[1], np.float32(len(tones) - 1)
-    half, one, last = np.float32(0.5), np.float32(1), len(tones) - 1
+    half, step = np.float32(0.5), np.float32(1 / cell)
+    nearest = np.float32(0.5 / cell if cell > 1 else 0.0)  # from a cell's center to the first pixel after it, in cells
     for y in numba.prange(height):
         place = np.float32((y + 0.5) / cell - 0.5) + np.float32(margin)
         row = int(place)
@@ -519,30 +520,26 @@ def _composite(image, layer, cell, margin, linear, tones, made):
             for channel in range(4):
                 upper = layer[row, column, channel]
                 lower = layer[row + 1, column, channel]
-                between[column, channel] = upper + below * (lower - upper)
-        x = 0
-        while x < width:
+                between[column, channel] = top * (upper + below * (lower - upper))
+        pixels, target = image[y], made[y]
+        for column in range(margin - 1, layer.shape[1] - margin):
             # Pixels between the centers of two cells.
-            place = np.float32((x + 0.5) / cell - 0.5) + np.float32(margin)
-            column = int(place)
-            right, step = place - np.float32(column), one / np.float32(cell)
-            end = min(x + max(int(np.ceil((one - right) * np.float32(cell) - np.float32(1e-3))), 1), width)
+            first = cell * (column - margin) + cell // 2
+            start, end = max(first, 0), min(first + cell, width)
             a, b = between[column], between[column + 1]
-            if a[3] < np.float32(1e-4) and b[3] < np.float32(1e-4):
-                for i in range(x, end):
+            if max(a[3], b[3]) < np.float32(1e-4) * top:
+                for x in range(start, end):
                     for channel in range(3):
-                        made[y, i, channel] = image[y, i, channel]
-                x = end
+                        target[x, channel] = pixels[x, channel]
                 continue
-            rise = step * (b[3] - a[3])
-            cover = one - (a[3] + right * (b[3] - a[3]))
-            red, more_red = top * (a[0] + right * (b[0] - a[0])) + half, top * step * (b[0] - a[0])
-            green, more_green = top * (a[1] + right * (b[1] - a[1])) + half, top * step * (b[1] - a[1])
-            blue, more_blue = top * (a[2] + right * (b[2] - a[2])) + half, top * step * (b[2] - a[2])
-            for i in range(x, end):
-                k = np.float32(i - x)
-                open_share = top * (cover - k * rise)
-                made[y, i, 0] = tones[min(int(linear[image[y, i, 0]] * open_share + (red + k * more_red)), last)]
-                made[y, i, 1] = tones[min(int(linear[image[y, i, 1]] * open_share + (green + k * more_green)), last)]
-                made[y, i, 2] = tones[min(int(linear[image[y, i, 2]] * open_share + (blue + k * more_blue)), last)]
-            x = end
+            open_share, more = top - a[3], a[3] - b[3]
+            red, green, blue = a[0] + half, a[1] + half, a[2] + half
+            more_red, more_green, more_blue = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+            for x in range(start, end):
+                right = nearest + step * np.float32(x - first)
+                share = open_share + right * more
+                # Unsigned: Numba takes negative indices for those from the end.
+                i = np.uint32(np.int32(min(linear[pixels[x, 0]] * share + (red + right * more_red), top)))
+                j = np.uint32(np.int32(min(linear[pixels[x, 1]] * share + (green + right * more_green), top)))
+                k = np.uint32(np.int32(min(linear[pixels[x, 2]] * share + (blue + right * more_blue), top)))
+                target[x, 0], target[x, 1], target[x, 2] = tones[i], tones[j], tones[k]
