@@ -319,10 +319,7 @@ class LodSubset:
 
 @dataclass(frozen=True, slots=True)
 class LodSample:
-    """Draws a weighted sample of each part's Gaussians, which may be in any order, enlarged by 0.85 of their growth.
-
-    In full, they would have the area of all, and cover more: all of them overlap more than a sample does.
-    """
+    """Draws a weighted sample of each part's Gaussians, which may be in any order, enlarged to cover as much as all."""
 
     share: float
 
@@ -336,6 +333,8 @@ class LodSample:
 
 
 _GROWN = 0.85
+"""Part of the growth of a sample: with all of it, its areas add up to those of all Gaussians. These overlap more, so
+that it would hide more than they do. Found by the view behind drops on glass."""
 
 
 @scene_cache(maxsize=64)

@@ -107,7 +107,7 @@ class GlassView:
                 float(np.radians(glass.contact_angle_deg)),
             )  # fmt: skip
         size = max(width // 12, 2), max(height // 12, 2)
-        sparse = np.ascontiguousarray(image[1::3, 1::3])
+        sparse = np.ascontiguousarray(image[2::4, 2::4])
         blurred = np.asarray(cv2.resize(sparse, size, interpolation=cv2.INTER_AREA), np.uint8)
         _draw_veil(
             layer, view, axes, np.array(pane.low_m), glass.film_m, glass.film_cell_m, glass.dirt,
@@ -415,7 +415,7 @@ def _draw_veil(layer, view, axes, low, film, film_cell, dirt, blade, blurred, se
             px, py, pz = path * x - axes[3, 0], path * y - axes[3, 1], path - axes[3, 2]
             u = px * axes[0, 0] + py * axes[0, 1] + pz * axes[0, 2]
             v = px * axes[1, 0] + py * axes[1, 1] + pz * axes[1, 2]
-            from_pivot = np.hypot(u - PIVOT_M[0], v - PIVOT_M[1])
+            from_pivot = np.sqrt((u - PIVOT_M[0]) ** 2 + (v - PIVOT_M[1]) ** 2)
             is_wiped = blade >= 0.0 and INNER_M <= from_pivot <= OUTER_M
             dirty = 0.0
             if dirt > 0.0:
