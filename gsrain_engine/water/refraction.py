@@ -457,9 +457,9 @@ def _draw_veil(layer, view, axes, low, film, film_cell, dirt, blade, blurred, se
 @numba.njit(parallel=True, cache=True, nogil=NOGIL)
 @no_type_check
 def _blurred(layer, radii):
-    """Average over disks, with the radius of each row in cells; the sides of the layer, a radius wide, are left out."""
+    """Average over disks, with the radius of each row in cells; not at the sides of the layer, a radius wide."""
     rows, width = layer.shape[0], 4 * layer.shape[1]
-    sums = np.empty((rows, width + 4), np.float32)  # of the cells to the left, four channels each
+    sums = np.empty((rows, width + 4))  # of the cells to the left, four channels each
     made = np.zeros(layer.shape, np.float32)
     for row in numba.prange(rows):
         total = np.zeros(4)
@@ -487,7 +487,7 @@ def _blurred(layer, radii):
                 # The chord begins and ends within cells that are so far to the left and right.
                 i, j = int(np.floor(0.5 - half)), int(np.floor(0.5 + half))
                 left, right = np.float32(0.5 - half - i), np.float32(0.5 + half - j)
-                weight = np.float32((top - bottom) / area)
+                weight = (top - bottom) / area
                 first, last, other = 4 * max(-i, 0), width - 4 * max(j, 0), min(max(row + k, 0), rows - 1)
                 _add_chord(
                     flat_made[row, first:last], sums[other, first + 4 * j : last + 4 * j],
@@ -520,7 +520,7 @@ def _composite(image, layer, cell, margin, linear, tones, made):
             for channel in range(4):
                 upper = layer[row, column, channel]
                 lower = layer[row + 1, column, channel]
-                between[column, channel] = top * (upper + below * (lower - upper))
+                between[column, channel] = top * min(upper + below * (lower - upper), np.float32(1))
         pixels, target = image[y], made[y]
         for column in range(margin - 1, layer.shape[1] - margin):
             # Pixels between the centers of two cells.
@@ -538,7 +538,7 @@ def _composite(image, layer, cell, margin, linear, tones, made):
             for x in range(start, end):
                 right = nearest + step * np.float32(x - first)
                 share = open_share + right * more
-                # Unsigned: Numba takes negative indices for those from the end.
+                # Never negative, but Numba would look: it takes negative indices for those from the end.
                 i = np.uint32(np.int32(min(linear[pixels[x, 0]] * share + (red + right * more_red), top)))
                 j = np.uint32(np.int32(min(linear[pixels[x, 1]] * share + (green + right * more_green), top)))
                 k = np.uint32(np.int32(min(linear[pixels[x, 2]] * share + (blue + right * more_blue), top)))
