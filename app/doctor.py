@@ -38,6 +38,7 @@ _PACKAGES = {
     "rosbags": ("bags of ROS 2", "recordings"),
     "rerun-sdk": ("drives as Rerun recordings", "rerun"),
     "viser": ("gsrain serve --protocol browser, gr.BrowserViewer", "viser"),
+    "carla-canvas": ("gsrain serve --protocol carla-canvas", "carla"),
     "scenariogeneration": ("writing OpenSCENARIO and OpenDRIVE", "drive"),
     "protobuf": ("Waymo Perception v1 (TFRecord files)", "waymo"),
 }

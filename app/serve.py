@@ -9,6 +9,7 @@ import threading
 from importlib.util import find_spec
 from typing import Annotated, Any, Literal
 
+import psutil
 from cyclopts import Parameter
 
 from gsrain_engine.backends import Backend
@@ -26,15 +27,17 @@ from .render import RainOptions, rainy_light, rendered_weather
 from .scene import Orientation
 
 TOKEN, LOOPBACK, ALPASIM_PORT = "GSRAIN_TOKEN", "127.0.0.1", 50051
+CANVAS_PROGRAM = "CARLA_CANVAS_PARENT_PID"
 
 
 def serve(
     *scenes: Annotated[str, Parameter(help="Scene files or folders; default: the built-in street.")],
     protocol: Annotated[
-        Literal["alpasim", "browser"],
+        Literal["alpasim", "carla-canvas", "browser"],
         option(
-            "alpasim: the sensor simulator of NVIDIA's AlpaSim (SensorsimService). browser: a page with a live view "
-            "and the settings of the rain, for machines without a display; needs viser."
+            "alpasim: the sensor simulator of NVIDIA's AlpaSim (SensorsimService). carla-canvas: a renderer of CARLA's "
+            "cameras and lidars; needs carla-canvas. browser: a page with a live view and the settings of the rain, "
+            "for machines without a display; needs viser."
         ),
     ] = "alpasim",
     host: Annotated[
@@ -55,22 +58,25 @@ def serve(
 ) -> int:
     """Serve scenes in rain to a simulator, until Ctrl-C: pictures through its cameras, lidar, cameras and drives.
 
-    Requests name a scene by its name, or * if there is one. A picture depends on its request alone. Browsers show one
-    scene, each from a camera of its own.
+    AlpaSim's requests name a scene by its name, or * if there is one; for carla-canvas it is that of CARLA's map. A
+    picture depends on its request alone. Browsers show one scene, each from a camera of its own.
     """
     check_writable(json)
     check_within("--port", port, 0, 65535)
     check_within("--sessions", sessions, 1, 1000)
     if protocol == "browser":
         _check_for_browsers(scenes, host, port, token)
-        opened = (orientation or Orientation()).of(load_sorted_scene(*(scenes or ("street",))))
+        opened = (orientation or Orientation()).of(load_sorted_scene((scenes or ("street",))[0]))
         return _serve_browsers(opened, rain or RainOptions(), wet, backend, port, sessions, json)
     token = token or os.environ.get(TOKEN) or None
     if token is None and not _is_loopback(host):
         raise ValueError(f"--host {host}: other machines reach it, so --token (or the variable {TOKEN}) is needed")
+    if protocol == "carla-canvas" and find_spec("carla_canvas") is None:
+        raise ValueError("--protocol carla-canvas needs carla-canvas: pip install 'gsrain[carla]'")
     # here, as gRPC and OpenCV take a third of a second to load
     from gsrain_engine.simulation.alpasim.service import SensorsimServer
     from gsrain_engine.simulation.alpasim.simulator import Simulator, scene_ids
+    from gsrain_engine.simulation.carla.service import CanvasServer
 
     options = rain or RainOptions()
     opened = [(orientation or Orientation()).of(load_sorted_scene(name)) for name in scenes or ("street",)]
@@ -90,11 +96,12 @@ def serve(
 
     port = ALPASIM_PORT if port is None else port
     address = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
-    server = SensorsimServer(open_simulator, address, sessions=sessions, token=token)
+    kind = CanvasServer if protocol == "carla-canvas" else SensorsimServer
+    server = kind(open_simulator, address, sessions=sessions, token=token)
     ended = _asked_to_end()
     logging.getLogger("gsrain").setLevel(logging.INFO)
     print(f"{', '.join(names)}: served at {host}:{server.port} ({protocol}); Ctrl-C ends")
-    while not ended.wait(1.0):  # without a timeout, Ctrl-C would not end it on Windows
+    while not ended.wait(1.0) and not program_is_gone():  # without a timeout, Ctrl-C would not end it on Windows
         pass
     print("stopping: running calls have 10 s to end")
     server.stop()
@@ -151,3 +158,9 @@ def _is_loopback(host: str) -> bool:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
         return host == "localhost"
+
+
+def program_is_gone() -> bool:
+    """Return whether the program of CARLA that started this server, as its configuration said, has ended."""
+    number = os.environ.get(CANVAS_PROGRAM, "")
+    return number.isdigit() and not psutil.pid_exists(int(number))

@@ -195,13 +195,18 @@ _ROAD_M = 0.3
 MATT = 0.2  # default reflectance of all objects, times the cosine of incidence, for sweeps without intensities
 
 
-def scan_scene(scene: Scene, time_s: float, sensor_to_world: Pose, sensor: LidarSensor, matt: float = MATT) -> Beams:
+def scan_scene(
+    scene: Scene, time_s: float, sensor_to_world: Pose, sensor: LidarSensor, matt: float = MATT,
+    own: Float64[np.ndarray, "n 3"] | None = None,
+) -> Beams:  # fmt: skip
     """Send the sensor's beams into a scene. `sensor_to_world` is a pose: x forward, y left, z up, meters.
+
+    `own` are unit directions in the sensor's frame between its lowest and highest beam; default: the sensor's own.
 
     Everything has the same near-infrared reflectance `matt`, times the cosine of incidence, since colors do not
     determine it. All beams are sent at the same time. The sky returns no echo.
     """
-    own = _own_directions(sensor)
+    own = _own_directions(sensor) if own is None else own
     directions = own @ sensor_to_world[:3, :3].T
     origin = sensor_to_world[:3, 3].copy()
     ranges, normals = np.full(len(own), np.inf), np.zeros((len(own), 3))

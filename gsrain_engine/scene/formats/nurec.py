@@ -5,6 +5,7 @@ camera models. AlpaSim's rig has its origin on the ground, x forward, y left, z 
 """
 
 import hashlib
+import re
 from collections import Counter
 from typing import Any
 
@@ -16,10 +17,15 @@ from jaxtyping import Float64
 from ..geometry import quaternions_from_matrices
 from ..scene import Actor, PoseTrack, RigCamera, Scene
 
+METADATA = "metadata.yaml"
+_NAME = re.compile(r"[\w.:-][\w .:-]{0,199}")  # of a scene, as a file may state it
 _SENSOR_HEIGHT_M = 1.5  # of the ego frame above the ground, in scenes that don't state their ground's height
+_BOX_LWH_M = [4.6, 1.85, 1.5]  # of the ego vehicle: the default of `simulation.vehicle.Vehicle`
+_BOX_CENTER_M = [1.3, 0.0, 0.75]  # from its rig, on the ground below the rear axle
 _LOWEST_M, _HIGHEST_M = 0.2, 4.0
 _SEQUENCE = "gsrain"
 _MICROSECONDS = 1_000_000
+_LEAD_US = 100_000  # of the drive before its first picture, as AlpaSim's shutters may open before a frame begins
 
 
 def nurec_files(scene: Scene) -> dict[str, bytes]:
@@ -31,7 +37,9 @@ def nurec_files(scene: Scene) -> dict[str, bytes]:
     down = np.eye(4)
     down[2, 3] = -sensor_height_m(scene)
     poses = [pose @ down for pose in _poses(scene.ego.moved(scene.scene_to_world))]
-    frames = [[time, time + max(1, round(_MICROSECONDS * _exposure_s(cameras)))] for time in times]
+    exposure_us = max(1, round(_MICROSECONDS * _exposure_s(cameras)))
+    after = [time for time in times if time - times[0] >= _LEAD_US]
+    frames = [[time, time + exposure_us] for time in after or times]
     rig = {
         "world_to_nre": {"matrix": np.eye(4).tolist()},
         "T_world_base": np.eye(4).tolist(),
@@ -45,7 +53,7 @@ def nurec_files(scene: Scene) -> dict[str, bytes]:
                 "T_rig_world_timestamps_us": times,
                 "T_rig_worlds": [pose.tolist() for pose in poses],
                 "cameras_frame_timestamps_us": {f"{name}@{_SEQUENCE}": frames for name, _ in cameras},
-                "rig_bbox": None,
+                "rig_bbox": {"centroid": _BOX_CENTER_M, "dim": _BOX_LWH_M, "rot": [0.0, 0.0, 0.0]},
             }
         ],
     }
@@ -64,12 +72,22 @@ def nurec_files(scene: Scene) -> dict[str, bytes]:
         "time_range": {"start": float(times[0]), "end": float(times[-1])},
     }
     text = yaml.safe_dump(metadata, sort_keys=False).encode()
-    return {"metadata.yaml": text, "rig_trajectories.json": encoded, "sequence_tracks.json": tracks}
+    return {METADATA: text, "rig_trajectories.json": encoded, "sequence_tracks.json": tracks}
 
 
 def scene_id(scene: Scene) -> str:
     """Name by which a simulator asks for a scene."""
     return scene.name or "scene"
+
+
+def scene_id_in(metadata: bytes) -> str | None:
+    """Name of a scene that `metadata.yaml` states; None if it states none that can be one."""
+    try:
+        found = yaml.safe_load(metadata)
+    except (yaml.YAMLError, ValueError, RecursionError):
+        return None
+    name = found.get("scene_id") if isinstance(found, dict) else None
+    return name if isinstance(name, str) and _NAME.fullmatch(name) else None
 
 
 def logical_cameras(scene: Scene) -> dict[str, RigCamera]:

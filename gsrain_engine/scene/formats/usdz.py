@@ -26,12 +26,13 @@ from ..geometry import quaternions_from_matrices
 from ..scene import Actor, Layer, PoseTrack, RigCamera, Scene, is_sky
 from ..transforms import FILE_UP, bake_item, flatten_scene, transform_gaussians
 from ._common import check_room, checked_gaussians
-from .nurec import nurec_files
+from .nurec import METADATA, nurec_files, scene_id_in
 from .stored_zip import open_zip, read_member, write_stored_zip
 from .usd_stage import ARRAYS, RESULT, pxr_module, read_stage
 
 _LAYER_SUFFIXES = (".usd", ".usda", ".usdc")
 _ROOT = "default.usdc"
+_LARGEST_METADATA = 2**20  # bytes
 _ALIGNMENT = 64  # bytes at whose multiples the files in a .usdz begin
 _CODES_PER_SECOND = 24.0
 _LONGEST_S = 1800.0  # time in which a stage must be read
@@ -51,7 +52,8 @@ def read_usdz_scene(path: Path) -> Scene:
     """Read layers, actors with tracks, the ego vehicle's track and the cameras on it.
 
     A field of Gaussians below a prim that moves belongs to an actor, any other one is a layer. Cameras belong to a rig
-    if they move; USD's cameras have no size in pixels: those of other programs get a width of 1920.
+    if they move; USD's cameras have no size in pixels: those of other programs get a width of 1920. The scene has the
+    name by which AlpaSim asks for it (`scene_id` in `metadata.yaml`), or that of the file.
 
     Raises `SceneFormatError` if the file is damaged, has no Gaussians, or refers to files outside of it.
     """
@@ -60,7 +62,11 @@ def read_usdz_scene(path: Path) -> Scene:
         root = _unpack(path, data, Path(folder) / "stage")
         arrays = Path(folder) / "arrays"
         arrays.mkdir()
-        return _scene_of(path, _stage(path, root, arrays), arrays)
+        scene = _scene_of(path, _stage(path, root, arrays), arrays)
+    with open_zip(path, data) as archive:
+        has_metadata = METADATA in archive.namelist()
+        name = scene_id_in(read_member(path, archive, METADATA, _LARGEST_METADATA)) if has_metadata else None
+    return scene if name is None else replace(scene, name=name)
 
 
 def _unpack(path: Path, data: bytes, folder: Path) -> Path:

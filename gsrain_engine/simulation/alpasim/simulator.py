@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float64, UInt8
@@ -36,7 +36,6 @@ from .lenses import LensError, camera_of, write_lens
 from .messages import enum_name, message
 
 Pose = Float64[np.ndarray, "4 4"]
-Status = Literal["INVALID_ARGUMENT", "NOT_FOUND", "UNIMPLEMENTED", "CANCELLED", "UNAUTHENTICATED"]
 
 _MAX_TIME_US = 10**12
 _FARTHEST_M = 1e6
@@ -60,9 +59,9 @@ LIDARS: dict[str, LidarSensor] = {
 
 
 class RequestError(Exception):
-    """A request that can't be answered: the status of gRPC, and one sentence that names the field."""
+    """A request that can't be answered: the name of gRPC's status, and one sentence that names the field."""
 
-    def __init__(self, status: Status, text: str) -> None:
+    def __init__(self, status: str, text: str) -> None:
         super().__init__(text)
         self.status = status
         self.text = text
@@ -84,8 +83,8 @@ class ServedScene:
         return logical_cameras(self.scene)
 
 
-class _Moment(NamedTuple):
-    """Times of a request's frame, and the poses of its sensor at its start and end."""
+class Moment(NamedTuple):
+    """Start and end of a frame, and the poses of its sensor at its start and end."""
 
     start_s: float
     end_s: float
@@ -95,7 +94,7 @@ class _Moment(NamedTuple):
     def at(self, part: float) -> tuple[float, Pose]:
         """Time and pose of the sensor at a part, 0..1, of the frame."""
         time_s = self.start_s + part * (self.end_s - self.start_s)
-        pose = _track(self, self.start, self.end, has_past=False).pose(time_s)
+        pose = track_through(self, self.start, self.end, has_past=False).pose(time_s)
         return time_s, self.start if pose is None else pose
 
     @property
@@ -154,7 +153,7 @@ class Simulator:
         return _encoded(self._drawn(served, request, camera, moment, is_active), kind, request.image_quality)
 
     def _drawn(
-        self, served: ServedScene, request: Any, camera: Camera, moment: _Moment, is_active: Callable[[], bool]
+        self, served: ServedScene, request: Any, camera: Camera, moment: Moment, is_active: Callable[[], bool]
     ) -> UInt8[np.ndarray, "h w 3"]:
         spec = request.camera_intrinsics
         mounted = served.cameras.get(spec.logical_id)
@@ -166,11 +165,11 @@ class Simulator:
             if not is_active():
                 raise RequestError("CANCELLED", "the client is gone")
             camera = replace(camera, rolling=rolling)
-            return self._view(served, scene, camera, pose, np.eye(3), time_s, moment, mounted)
+            return self.view(served, scene, camera, pose, np.eye(3), time_s, moment, mounted)
         return self._assembled(served, scene, camera, direction, moment, mounted, is_active)
 
     def _assembled(
-        self, served: ServedScene, scene: Scene, camera: Camera, direction: ReadoutDirection | None, moment: _Moment,
+        self, served: ServedScene, scene: Scene, camera: Camera, direction: ReadoutDirection | None, moment: Moment,
         mounted: RigCamera | None, is_active: Callable[[], bool],
     ) -> UInt8[np.ndarray, "h w 3"]:  # fmt: skip
         """Picture put together from pinhole pictures, and from bands of a rolling shutter: with glass, or by quads."""
@@ -194,15 +193,18 @@ class Simulator:
             for each, turn in [(face.camera, face.turn) for face in cut] or [(band, np.eye(3))]:
                 if not is_active():
                     raise RequestError("CANCELLED", "the client is gone")
-                views.append(self._view(served, scene, each, pose, turn, time_s, moment, mounted))
+                views.append(self.view(served, scene, each, pose, turn, time_s, moment, mounted))
             picture[part] = assemble(cut, views)[part] if cut else views[0]
         return picture
 
-    def _view(
+    def view(
         self, served: ServedScene, scene: Scene, camera: Camera, pose: Pose, turn: Float64[np.ndarray, "3 3"],
-        time_s: float, moment: _Moment, mounted: RigCamera | None,
+        time_s: float, moment: Moment, mounted: RigCamera | None,
     ) -> UInt8[np.ndarray, "a b 3"]:  # fmt: skip
-        """One pinhole picture, as the camera stores it."""
+        """One picture, as the camera stores it, of a `scene` whose actors are in their places.
+
+        `turn` is the rotation of the camera from its pose; `mounted` is the camera on the vehicle, if there is one.
+        """
         facing = pose.copy()
         facing[:3, :3] = pose[:3, :3] @ turn
         exposure_s = DEFAULT_EXPOSURE_S if mounted is None else mounted.exposure_s
@@ -289,7 +291,7 @@ _ROLLING: dict[str, ReadoutDirection] = {
 }  # fmt: skip
 
 
-def _rolling(moment: _Moment, direction: ReadoutDirection) -> RollingShutter:
+def _rolling(moment: Moment, direction: ReadoutDirection) -> RollingShutter:
     try:
         return RollingShutter.between(moment.start, moment.end, moment.end_s - moment.start_s, direction)[1]
     except ValueError as error:
@@ -301,7 +303,7 @@ def _camera(spec: bytes, width: int, height: int) -> Camera:
     return camera_of(message("CameraSpec").FromString(spec), width, height)
 
 
-def _bands(camera: Camera, faces: tuple[LensFace, ...], moment: _Moment) -> int:
+def _bands(camera: Camera, faces: tuple[LensFace, ...], moment: Moment) -> int:
     """Number of bands of a rolling shutter: enough that near points move little from one to the next."""
     focal_px = max([face.camera.fx for face in faces] or [camera.fx])
     turned = moment.start[:3, :3].T @ moment.end[:3, :3]
@@ -336,7 +338,7 @@ def _band(
 # Poses
 
 
-def _moment(request: Any, served: ServedScene) -> _Moment:
+def _moment(request: Any, served: ServedScene) -> Moment:
     """Times and poses of a request, checked."""
     start_us, end_us = request.frame_start_us, request.frame_end_us
     if not start_us <= end_us <= _MAX_TIME_US:
@@ -346,7 +348,7 @@ def _moment(request: Any, served: ServedScene) -> _Moment:
         raise RequestError("INVALID_ARGUMENT", "sensor_pose: must be set")
     start, end = _pose_pair("sensor_pose", request.sensor_pose)
     zero = start_s(served.scene)
-    return _Moment(zero + start_us / 1e6, zero + end_us / 1e6, start, end)
+    return Moment(zero + start_us / 1e6, zero + end_us / 1e6, start, end)
 
 
 def _pose_pair(name: str, pair: Any) -> tuple[Pose, Pose]:
@@ -377,14 +379,14 @@ def _write_pose(target: Any, pose: Pose) -> None:
     target.quat.w, target.quat.x, target.quat.y, target.quat.z = w, x, y, z
 
 
-def _velocity(moment: _Moment, start: Pose, end: Pose) -> Float64[np.ndarray, "3"]:
+def _velocity(moment: Moment, start: Pose, end: Pose) -> Float64[np.ndarray, "3"]:
     """Velocity between two poses of a frame; 0 for a frame without duration, or a jump."""
     seconds = moment.end_s - moment.start_s
     velocity = (end[:3, 3] - start[:3, 3]) / seconds if seconds > 0 else np.zeros(3)
     return velocity if np.linalg.norm(velocity) <= _FASTEST_M_S else np.zeros(3)
 
 
-def _track(moment: _Moment, start: Pose, end: Pose, *, has_past: bool = True) -> PoseTrack:
+def track_through(moment: Moment, start: Pose, end: Pose, *, has_past: bool = True) -> PoseTrack:
     """Track through the two poses of a frame, in the world; with a past, at constant velocity before and after."""
     if moment.end_s <= moment.start_s:
         return PoseTrack.standing(start)
@@ -402,7 +404,7 @@ def _track(moment: _Moment, start: Pose, end: Pose, *, has_past: bool = True) ->
     )
 
 
-def _moved_scene(served: ServedScene, request: Any, moment: _Moment, mounted: RigCamera | None) -> Scene:
+def _moved_scene(served: ServedScene, request: Any, moment: Moment, mounted: RigCamera | None) -> Scene:
     """The scene with actors at the poses of a request, and the ego vehicle where the camera on it says."""
     scene = served.scene
     to_scene = np.linalg.inv(scene.scene_to_world)
@@ -416,12 +418,12 @@ def _moved_scene(served: ServedScene, request: Any, moment: _Moment, mounted: Ri
         down = np.eye(4)
         down[2, 3] = -actor.size_lwh[2] * scene.metres_per_unit / 2  # AlpaSim's poses are of the middle of the box
         start, end = (pose @ down for pose in _pose_pair(f"dynamic_objects[{row.track_id[:40]!r}]", row.pose_pair))
-        motions[actor.id] = _track(moment, start, end).moved(to_scene)
+        motions[actor.id] = track_through(moment, start, end).moved(to_scene)
         actors.append(replace(actor, track=motions[actor.id]))
     ego = None
     if mounted is not None:
         camera_to_ego = np.linalg.inv(mounted.camera_to_ego)
-        ego = _track(moment, moment.start @ camera_to_ego, moment.end @ camera_to_ego).moved(to_scene)
+        ego = track_through(moment, moment.start @ camera_to_ego, moment.end @ camera_to_ego).moved(to_scene)
         motions["ego"] = ego
     order = {actor.id: index for index, actor in enumerate(scene.actors)}
     actors.sort(key=lambda actor: order[actor.id])

@@ -1,0 +1,1 @@
+"""CARLA's cameras and lidars in rain, as a renderer of carla-canvas."""
