@@ -58,7 +58,10 @@ class Orientation:
 
     up: Annotated[
         Axis | None,
-        option("Axis of the scene that points up; default for Gaussian files: -y.", allow_leading_hyphen=True),
+        option(
+            "Axis of the scene that points up; default for Gaussian files: -y. convert turns a single file by it.",
+            allow_leading_hyphen=True,
+        ),
     ] = None
     meters_per_unit: Annotated[float | None, option("Length of one scene unit in meters.")] = None
 
@@ -184,7 +187,7 @@ def _print(scene: Scene, numbers: dict[str, Any]) -> None:
     console.print(f"1 unit = {scene.metres_per_unit:g} m{assumed}, up = ({up})")
     corners = zip("xyz", numbers["core_m"]["minimum"], numbers["core_m"]["maximum"], strict=True)
     ranges = ", ".join(f"{axis} {low + 0.0:.4g} to {high + 0.0:.4g}" for axis, low, high in corners)
-    console.print(f"most of it lies at {ranges} m")
+    console.print(f"most of it lies at {ranges} m in the world (z up); below, each in its own units and axes")
     shell = numbers["shell"]
     if shell is not None:
         console.print(
