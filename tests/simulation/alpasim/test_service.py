@@ -350,6 +350,7 @@ BROKEN = [
     (_broken("frame_end_us", value=0), "INVALID_ARGUMENT"),
     (_broken("sensor_pose.start_pose.vec.x", value=float("inf")), "INVALID_ARGUMENT"),
     (_broken("sensor_pose.start_pose.quat.w", value=1e30), "INVALID_ARGUMENT"),
+    (_broken("sensor_pose.start_pose.quat.w", value=2.0), "INVALID_ARGUMENT"),
     (_broken("sensor_pose.end_pose.vec.z", value=-1e9), "INVALID_ARGUMENT"),
     (_broken("camera_intrinsics.opencv_pinhole_param.focal_length_x", value=float("nan")), "INVALID_ARGUMENT"),
     (_broken("camera_intrinsics.opencv_pinhole_param.focal_length_y", value=0.0), "INVALID_ARGUMENT"),
@@ -358,6 +359,7 @@ BROKEN = [
     (lambda request: request.ClearField("camera_intrinsics"), "INVALID_ARGUMENT"),
     (lambda request: request.camera_intrinsics.bivariate_windshield_model_param.SetInParent(), "UNIMPLEMENTED"),
     (lambda request: request.dynamic_objects.add(track_id="car-7"), "INVALID_ARGUMENT"),
+    (lambda request: with_car(with_car(request, (12, 0, 1)), (9, 0, 1)), "INVALID_ARGUMENT"),
 ]
 
 
