@@ -133,7 +133,7 @@ $(VENV)/.installed-docs: $(VENV)/.installed
 # Training needs torch; its own index has a build for processors that is ten times smaller than the registry's.
 $(VENV)/.installed-jobs: $(VENV)/.installed
 	$(INSTALL) --retries 0 --timeout 10 --extra-index-url https://download.pytorch.org/whl/cpu torch
-	$(INSTALL) -e ".[dev,diffusion,drive,evaluate,oracles,recordings,viser,waymo]"
+	$(INSTALL) -e ".[carla,dev,diffusion,drive,evaluate,oracles,recordings,viser,waymo]"
 	@touch $@
 
 system:

@@ -58,15 +58,15 @@ def serve(
 ) -> int:
     """Serve scenes in rain to a simulator, until Ctrl-C: pictures through its cameras, lidar, cameras and drives.
 
-    AlpaSim's requests name a scene by its name, or * if there is one; for carla-canvas it is that of CARLA's map. A picture depends on its request alone. Browsers show one
-    scene, each from a camera of its own.
+    AlpaSim's requests name a scene by its name, or * if there is one; for carla-canvas it is that of CARLA's map. A
+    picture depends on its request alone. Browsers show one scene, each from a camera of its own.
     """
     check_writable(json)
     check_within("--port", port, 0, 65535)
     check_within("--sessions", sessions, 1, 1000)
     if protocol == "browser":
         _check_for_browsers(scenes, host, port, token)
-        opened = (orientation or Orientation()).of(load_sorted_scene(*(scenes or ("street",))))
+        opened = (orientation or Orientation()).of(load_sorted_scene((scenes or ("street",))[0]))
         return _serve_browsers(opened, rain or RainOptions(), wet, backend, port, sessions, json)
     token = token or os.environ.get(TOKEN) or None
     if token is None and not _is_loopback(host):
@@ -101,7 +101,7 @@ def serve(
     ended = _asked_to_end()
     logging.getLogger("gsrain").setLevel(logging.INFO)
     print(f"{', '.join(names)}: served at {host}:{server.port} ({protocol}); Ctrl-C ends")
-    while not ended.wait(1.0) and not _program_is_gone():  # without a timeout, Ctrl-C would not end it on Windows
+    while not ended.wait(1.0) and not program_is_gone():  # without a timeout, Ctrl-C would not end it on Windows
         pass
     print("stopping: running calls have 10 s to end")
     server.stop()
@@ -160,7 +160,7 @@ def _is_loopback(host: str) -> bool:
         return host == "localhost"
 
 
-def _program_is_gone() -> bool:
+def program_is_gone() -> bool:
     """Return whether the program of CARLA that started this server, as its configuration said, has ended."""
     number = os.environ.get(CANVAS_PROGRAM, "")
     return number.isdigit() and not psutil.pid_exists(int(number))

@@ -2,8 +2,8 @@
 
 from typing import Any
 
-from ..render_server import Method, RenderServer
 from .messages import API_VERSION, SERVICE, calls, message
+from .server import Method, RenderServer
 from .simulator import RequestError
 
 _MAX_BATCH = 64  # pictures or lidar turns of one call

@@ -12,7 +12,7 @@ from importlib import import_module
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32, Float64, UInt8
+from jaxtyping import Float32, UInt8
 from msgspec import structs
 
 from ...evaluation.lidar.scan import scan_in_rain, scan_scene
@@ -40,6 +40,8 @@ CLASSES: dict[str, tuple[str, ...]] = {
     "motorcycle": ("motorcycle", "cyclist"), "bicycle": ("cyclist", "bicycle"), "walker": ("pedestrian", "person"),
 }  # fmt: skip
 """Classes of actors that stand for those of CARLA's blueprints (`base_type`), the best first."""
+
+_ROAD_USERS = {name for names in CLASSES.values() for name in names}
 
 
 class CanvasRenderer:
@@ -86,10 +88,16 @@ class CanvasRenderer:
         known = {actor.id for actor in scenes[wanted].scene.actors}
         rows: list[tuple[str, str]] = []
         for pattern, row in actors.items():
-            asset = row if isinstance(row, str) else _mapping(f"renderer.assets.actors.{pattern}", row, ("asset",)).get("asset")
+            asset = (
+                row
+                if isinstance(row, str)
+                else _mapping(f"renderer.assets.actors.{pattern}", row, ("asset",)).get("asset")
+            )
             if asset not in known:
                 told = ", ".join(sorted(known)) or "none"
-                raise ValueError(f"renderer.assets.actors.{pattern}: the scene has no actor {str(asset)[:80]!r}, only {told}")
+                raise ValueError(
+                    f"renderer.assets.actors.{pattern}: the scene has no actor {str(asset)[:80]!r}, only {told}"
+                )
             rows.append((pattern, str(asset)))
         self._to_scene = np.linalg.inv(_placement(chosen.get("transform") or {}))
         self._served, self._actors, self._missing = scenes[wanted], rows, set()
@@ -113,9 +121,7 @@ class CanvasRenderer:
     ) -> UInt8[np.ndarray, "h w 3"]:
         return self._simulator.view(served, scene, camera, moment.end, np.eye(3), moment.end_s, moment, mounted)
 
-    def _depth(
-        self, served: ServedScene, scene: Scene, camera: Camera, moment: Moment
-    ) -> Float32[np.ndarray, "h w"]:
+    def _depth(self, served: ServedScene, scene: Scene, camera: Camera, moment: Moment) -> Float32[np.ndarray, "h w"]:
         camera = replace(camera, world_to_camera=np.linalg.inv(moment.end))
         shot = RenderView(camera, moment.end_s)
         draw_view(self._simulator.renderer, scene, None, served.sky.at(0.0), shot, with_depth=True, thinning=served.cut)
@@ -172,7 +178,7 @@ class CanvasRenderer:
         """The scene with CARLA's road users, but for the sensor's own vehicle; unknown ones are left out."""
         scene = self._world().scene
         to_file = np.linalg.inv(scene.scene_to_world)
-        actors: list[Actor] = []
+        actors = [actor for actor in scene.actors if actor.class_name not in _ROAD_USERS]  # such as traffic lights
         motions: dict[str, PoseTrack] = {}
         for info, transform in world.bodies(exclude={sensor, *world.ancestors(sensor)}):
             actor = self._stand_in(scene, info)
@@ -228,9 +234,14 @@ class CanvasRenderer:
         if len(own):
             beams = [math.degrees(math.asin(max(-1.0, min(1.0, each)))) for each in (own[:, 2].min(), own[:, 2].max())]
             if not -_STEEPEST_DEG <= beams[0] <= beams[1] <= _STEEPEST_DEG:
-                raise ValueError(f"sensor {view.sensor_id}: lower_fov, upper_fov: must be within +-{_STEEPEST_DEG:g} degrees")
+                raise ValueError(
+                    f"sensor {view.sensor_id}: lower_fov, upper_fov: must be within +-{_STEEPEST_DEG:g} degrees"
+                )
             sensor = structs.replace(
-                SENSORS["128"], name="CARLA's", elevations_deg=tuple(beams), farthest_m=min(max(view.max_distance, 1), 2000)
+                SENSORS["128"],
+                name="CARLA's",
+                elevations_deg=tuple(beams),
+                farthest_m=min(max(view.max_distance, 1), 2000),
             )
             scene = self._scene_of(view.scene, view.sensor_id, moment, None)
             clear = scan_scene(scene, moment.end_s, pose, sensor, _LIDAR_MATT, own)

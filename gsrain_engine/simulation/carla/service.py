@@ -6,8 +6,8 @@ from collections.abc import Callable
 from importlib import import_module
 from typing import Any, NamedTuple, NoReturn
 
+from ..alpasim.server import Method, RenderServer
 from ..alpasim.simulator import RequestError
-from ..render_server import Method, RenderServer
 from .renderer import CanvasRenderer
 
 SERVICE = "carla_canvas.v1.Renderer"
@@ -42,13 +42,13 @@ class CanvasServer(RenderServer):
     def _method(self, name: str) -> Method:
         def answer(request: Any, context: Any) -> Any:
             world = self._world(context.peer())
-            return self.draw(lambda is_active: self._answer(name, world, request, _Context(context), is_active), context)
+            return self.draw(
+                lambda is_active: self._answer(name, world, request, _Context(context), is_active), context
+            )
 
         return answer
 
-    def _answer(
-        self, name: str, world: Any, request: Any, context: _Context, is_active: Callable[[], bool]
-    ) -> Any:
+    def _answer(self, name: str, world: Any, request: Any, context: _Context, is_active: Callable[[], bool]) -> Any:
         if not is_active():
             raise RequestError("CANCELLED", "the client is gone")
         try:
@@ -84,11 +84,13 @@ class CanvasServer(RenderServer):
 def _check_sensor(world: Any, sensor: Any) -> None:
     """Refuse sensors whose measurements are too large, and too many sensors. Raises `ValueError`."""
     if len(world.sensors) >= _LARGEST_SENSORS and sensor.id not in world.sensors:
-        raise RequestError("RESOURCE_EXHAUSTED", f"sensor {sensor.id}: a program has at most {_LARGEST_SENSORS} sensors")
+        raise RequestError(
+            "RESOURCE_EXHAUSTED", f"sensor {sensor.id}: a program has at most {_LARGEST_SENSORS} sensors"
+        )
     given = {each.id: each.value for each in sensor.attributes}
     if sensor.type_id.startswith("sensor.camera."):
         width, height = (_whole(sensor.id, given, name, default) for name, default in _SIZES)
-        if not (0 < min(width, height) and max(width, height) <= _LARGEST_SIDE_PX and width * height <= _LARGEST_PX):
+        if not (min(width, height) > 0 and max(width, height) <= _LARGEST_SIDE_PX and width * height <= _LARGEST_PX):
             told = f"at most {_LARGEST_SIDE_PX} px a side and {_LARGEST_PX:,} px, not {width} x {height}"
             raise ValueError(f"sensor {sensor.id}: image_size_x, image_size_y: {told}")
     else:

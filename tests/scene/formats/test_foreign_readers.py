@@ -254,7 +254,8 @@ def test_a_scene_comes_back_from_usdz(tmp_path: Path) -> None:
     for path in (tmp_path / "a.usdz", tmp_path / "b.usdz"):
         write_scene(before, path)
     assert (tmp_path / "a.usdz").read_bytes() == (tmp_path / "b.usdz").read_bytes()
-    after = read_scene(tmp_path / "a.usdz")
+    after = read_scene((tmp_path / "a.usdz").rename(tmp_path / "last.usdz"))
+    assert after.name == before.name  # by which AlpaSim asks for it, whatever its file's name
     assert [(layer.name, layer.kind) for layer in after.layers] == [("road & kerb", "background"), ("sky", "sky")]
     assert [actor.id for actor in after.actors] == ["lead/1"] and after.metres_per_unit == 1
     for time_s in (0.0, 0.7, 2.0):

@@ -1,6 +1,7 @@
 """A client of gRPC against the server: pictures, two clients at once, hostile messages, killed clients, tokens."""
 
 import io
+import json
 import os
 import signal
 import subprocess
@@ -134,7 +135,9 @@ def test_scenes_cameras_and_drives_are_listed(client: Client, scene: Scene) -> N
     poses = found.trajectory.poses
     assert [pose.timestamp_us for pose in poses] == [k * 1_000_000 for k in range(6)]
     assert (poses[3].pose.vec.x, poses[3].pose.vec.z) == (6, 0)
-    assert "rig_trajectories.json" in nurec_files(scene)
+    (drive,) = json.loads(nurec_files(scene)["rig_trajectories.json"])["rig_trajectories"]
+    assert drive["rig_bbox"]["dim"] == [4.6, 1.85, 1.5]  # without a box AlpaSim rejects the scene
+    assert drive["cameras_frame_timestamps_us"]["FRONT@gsrain"][0][0] == 1_000_000  # after a shutter could open
     health = client.call("Check", service=HEALTH_SERVICE)
     assert health.status == 1
 

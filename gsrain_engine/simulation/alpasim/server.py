@@ -11,8 +11,8 @@ from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
-from .alpasim.messages import HEALTH_SERVICE, calls, decode_error
-from .alpasim.simulator import RequestError, Simulator
+from .messages import HEALTH_SERVICE, calls, decode_error
+from .simulator import RequestError, Simulator
 
 logger = logging.getLogger("gsrain")
 MAX_MESSAGE_BYTES = 64 * 2**20
@@ -56,8 +56,11 @@ class RenderServer:
         )
         offered = self.services()
         check = calls(HEALTH_SERVICE)["Check"]
-        health = {"Check": (check.request, lambda request, _: check.answer(status=_health(request.service, offered)))}
-        for service, methods in {**offered, HEALTH_SERVICE: health}.items():
+
+        def health(request: Any, context: Any) -> Any:
+            return check.answer(status=1 if request.service in ("", *offered) else 3)  # SERVING, SERVICE_UNKNOWN
+
+        for service, methods in {**offered, HEALTH_SERVICE: {"Check": (check.request, health)}}.items():
             handlers = {
                 name: grpc.unary_unary_rpc_method_handler(self._handler(name, kind, method))
                 for name, (kind, method) in methods.items()
@@ -155,10 +158,6 @@ class RenderServer:
                     raise RequestError("CANCELLED", "the client is gone") from None
             except CancelledError:
                 raise RequestError("CANCELLED", "the client is gone") from None
-
-
-def _health(service: str, offered: dict[str, Any]) -> int:
-    return 1 if not service or service in offered else 3  # SERVING, SERVICE_UNKNOWN
 
 
 def own_version() -> str:
