@@ -1,10 +1,10 @@
 """Does the window stay fluid while its viewport plays and a job works? Prints JSON, then a line for each phase.
 
 The real window plays the built-in street in 8.5 mm/h: alone, then while a job works in its own process; first a second
-client of the X server moves the mouse, then nobody does. The time until the window has shown a frame with the mouse at
-its new place is the feedback. `record` renders a video of the drive, `recolor` makes the street rainy, `training`
-reconstructs a capture of the street. Without a display: `xvfb-run -s "-screen 0 1600x1000x24"`; `taskset -c 0,1` gives
-it two cores.
+client of the X server moves the mouse, then nobody does, then the camera orbits. The time until the window has shown a
+frame with the mouse at its new place is the feedback. `record` renders a video of the drive, `recolor` makes the street
+rainy, `training` reconstructs a capture of the street, `none` measures the window alone. Without a display:
+`xvfb-run -s "-screen 0 1600x1000x24"`; `taskset -c 0,1` gives it two cores.
 """
 
 import argparse
@@ -37,7 +37,8 @@ from gsrain_engine.training.settings import load_settings
 from ui.window import MainWindow
 from ui.workspace import Workspace
 
-_PHASES = ("mouse", "watched", "job, mouse", "job, watched")
+_PHASES = ("mouse", "watched", "orbit", "job, mouse", "job, watched", "job, orbit")
+_ORBIT_RAD_S = 0.3
 _SETTLING_S = 6.0  # the quality of pictures has settled then
 _LONGEST_S = 900.0
 _MOVES_EVERY_S = (0.1, 0.5)
@@ -78,8 +79,9 @@ class Phase:
 class Measurement:
     """Measures a playing window, then the same with a job. `frame` is called once per frame of the interface."""
 
-    def __init__(self, seconds: float, start: Callable[[Editor], None]) -> None:
-        self.phases = {name: Phase() for name in _PHASES}
+    def __init__(self, seconds: float, start: Callable[[Editor], None] | None) -> None:
+        self._names = [name for name in _PHASES if start is not None or not name.startswith("job")]
+        self.phases = {name: Phase() for name in self._names}
         self.last_message = ""
         self.viewport_px = (0, 0)
         self._seconds, self._start = seconds, start
@@ -96,17 +98,20 @@ class Measurement:
         if not editor.document.scene.gaussian_count or (self._phase is None and editor.busy is not None):
             return
         if self._phase is None:
-            self._begin(_PHASES[0], now)
+            self._begin(self._names[0], now)
         elif now >= self._phase.ends_s:
             self._phase.job_s += _worker_s()
-            if self._name == _PHASES[-1]:
+            if self._name == self._names[-1]:
                 hello_imgui.get_runner_params().app_shall_exit = True
                 return
-            self._begin(_PHASES[_PHASES.index(self._name) + 1], now)
-            if not editor.jobs.all and self._name.startswith("job"):
+            self._begin(self._names[self._names.index(self._name) + 1], now)
+            if not editor.jobs.all and self._name.startswith("job") and self._start is not None:
                 self._start(editor)
         if editor.jobs.all and editor.jobs.all[-1].state != "running":
             raise RuntimeError(f"the job ended early: {editor.jobs.all[-1].state}; measure fewer --seconds")
+        if self._name.endswith("orbit"):
+            turn = -1 if now % 2 < 1 else 1  # to and fro, before the same houses
+            editor.viewport.orbit(turn * _ORBIT_RAD_S * imgui.get_io().delta_time, 0.0)
         if now >= self._phase.begins_s:
             if not self._phase.frames_s:
                 self._phase.job_s = -_worker_s()
@@ -170,12 +175,13 @@ class Mouse:
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("job", choices=("record", "recolor", "training"))
+    parser.add_argument("job", choices=("none", "record", "recolor", "training"))
     parser.add_argument("--seconds", type=float, default=20.0, help="of each phase")
     parser.add_argument("--backend", default="auto")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        start = {"record": _record, "recolor": _make_rainy, "training": _train}[arguments.job](Path(folder))
+        jobs = {"record": _record, "recolor": _make_rainy, "training": _train}
+        start = jobs[arguments.job](Path(folder)) if arguments.job in jobs else None
         measurement = Measurement(arguments.seconds, start)
 
         def begin() -> Editor:

@@ -52,12 +52,12 @@ def render_rain(folder: Path) -> None:
 
 
 def render_sheets(folder: Path) -> None:
-    """By day, by night, in a capture and around a single object: dry, and in rain from moderate to very heavy."""
+    """The street, a capture and a single object, by day and by night: dry, and in rain from moderate to very heavy."""
     render_sheet(folder, "sheet_street", "street")
     render_sheet(folder, "sheet_night", "street:night")
     data = Path(os.environ.get("GSRAIN_TEST_DATA", "../shared/data"))
     if not data.is_dir():
-        print(f"{data}: not there, so that sheet_capture and sheet_object stay as they are")
+        print(f"{data}: not there, so that the sheets of a capture and of an object stay as they are")
         return
     capture = folder / "capture"
     if run(["reconstruct", str(data / "driving" / "dgp" / "scene_02"), "-o", str(capture)]) != 0:
@@ -65,7 +65,19 @@ def render_sheets(folder: Path) -> None:
     render_sheet(folder, "sheet_capture", str(capture), "--wet", "--cameras", "CAMERA_01")
     near = folder / "near.yaml"
     near.write_text(_NEAR_AIR, encoding="utf-8")
-    render_sheet(folder, "sheet_object", str(data / "scenes" / "plant.splat"), "--wet", "--preset", str(near))
+    plant = str(data / "scenes" / "plant.splat")
+    render_sheet(folder, "sheet_object", plant, "--wet", "--preset", str(near))
+    render_sheet(
+        folder, "sheet_capture_night", by_night(str(capture), folder / "capture_night"), "--cameras", "CAMERA_01"
+    )
+    render_sheet(folder, "sheet_object_night", by_night(plant, folder / "object_night"), "--preset", str(near))
+
+
+def by_night(scene: str, output: Path) -> str:
+    """Relight a scene by the command that a reader would give; returns the new one."""
+    if run(["night", scene, "-o", str(output)]) != 0:
+        raise SystemExit(1)
+    return str(output)
 
 
 def render_sheet(folder: Path, name: str, scene: str, *options: str) -> None:

@@ -295,10 +295,9 @@ def picture_drive(camera: Photographer) -> None:
 
 # Sheets of all panels, in both themes and two scales
 
-_SHEET_WIDTH = 1600
-_SHEET_COLUMNS = 4
+_SHEET_WIDTH = 1320
 _GAP = 12
-_SHEET_QUALITY = 80
+_SHEET_COLORS = 256
 
 
 def picture_themes(folder: Path) -> None:
@@ -323,24 +322,30 @@ def _take_sheets(camera: Photographer, dpi_scale: float) -> None:
         pictures = list[Image.Image]()
         for panel in BUILT_IN_PANELS:
             camera.ctx.window_focus(f"//{panel.id or panel.title}")
+            while editor.rollouts.mosaic.is_behind:
+                camera.frames(1)
             pictures.append(camera.picture(panel.id or panel.title, trimmed=True))
-        _save(_sheet(pictures), f"panels_{theme}_dpi{dpi_scale:g}", _SHEET_QUALITY)
+        name = f"panels_{theme}_dpi{dpi_scale:g}.png"
+        few = _sheet(pictures, dpi_scale).quantize(_SHEET_COLORS, dither=Image.Dither.NONE)
+        few.save(IMAGES / name, optimize=True)
+        print(f"docs/images/{name}")
 
 
-def _sheet(pictures: Sequence[Image.Image]) -> Image.Image:
-    """Put pictures of panels below each other in columns of one width; wide ones span several."""
-    column_px = (_SHEET_WIDTH - (_SHEET_COLUMNS + 1) * _GAP) // _SHEET_COLUMNS
-    narrow_px = min(each.width for each in pictures)
-    ends, places = [_GAP] * _SHEET_COLUMNS, list[tuple[Image.Image, int, int]]()
-    for picture in sorted(pictures, key=lambda each: -each.height):
-        span = min(max(round(picture.width / narrow_px), 1), _SHEET_COLUMNS)
-        first = min(range(_SHEET_COLUMNS - span + 1), key=lambda at: max(ends[at : at + span]))
-        width = span * column_px + (span - 1) * _GAP
-        small = picture.resize((width, round(picture.height * width / picture.width)), Image.Resampling.LANCZOS)
-        top = max(ends[first : first + span])
-        places.append((small, _GAP + first * (column_px + _GAP), top))
-        ends[first : first + span] = [top + small.height + _GAP] * span
-    sheet = Image.new("RGB", (_SHEET_WIDTH, max(ends)), (128, 128, 128))
+def _sheet(pictures: Sequence[Image.Image], dpi_scale: float) -> Image.Image:
+    """Put pictures of panels, in pixels of the screen, below each other and side by side where they fit."""
+    sheet_width, gap = round(_SHEET_WIDTH * dpi_scale), round(_GAP * dpi_scale)
+    free, places = [(gap, gap, sheet_width - gap)], list[tuple[Image.Image, int, int]]()
+    for picture in sorted(pictures, key=lambda each: (-each.width, -each.height)):
+        fitting = [each for each in free if each[2] - each[0] >= picture.width]
+        left, top, right = place = min(fitting, key=lambda each: (each[1], each[0]))
+        places.append((picture, left, top))
+        free.remove(place)
+        below, beside = top + picture.height + gap, left + picture.width + gap
+        free.append((left, below, right if right - beside <= 0 else left + picture.width))
+        if right - beside > 0:
+            free.append((beside, top, right))
+    height = max(top + picture.height for picture, _, top in places) + gap
+    sheet = Image.new("RGB", (sheet_width, height), (128, 128, 128))
     for picture, left, top in places:
         sheet.paste(picture, (left, top))
     return sheet

@@ -25,6 +25,7 @@ from .scenes import CameraPath as CameraPath
 from .scenes import Capture as Capture
 from .scenes import CaptureError as CaptureError
 from .scenes import Gaussians as Gaussians
+from .scenes import Lamp as Lamp
 from .scenes import Layer as Layer
 from .scenes import Progress as Progress
 from .scenes import Scene as Scene
@@ -34,6 +35,7 @@ from .scenes import edit as edit
 from .scenes import home_camera as home_camera
 from .scenes import load as load
 from .scenes import look_at as look_at
+from .scenes import night as night
 from .scenes import save as save
 from .scenes import sh_from_color as sh_from_color
 from .scenes import wet as wet

@@ -6,6 +6,7 @@
 
 uniform vec4 intrinsics;          // fx fy cx cy (px)
 uniform vec2 image_size;          // px
+uniform vec2 rows_outside;        // of the whole picture, above and below a band of it
 uniform float near;               // m
 
 #ifdef LENS
@@ -35,9 +36,9 @@ bool project(
     if (!(p.z > near && p.z < 1e30)) return false;  // also drops NaN
 
     // Local affine approximation of the projection, held back at 1.3 times the field of view.
-    vec2 f = intrinsics.xy, c = intrinsics.zw;
-    vec2 margin = 0.15 * image_size / f;
-    vec2 slope = clamp(p.xy / p.z, -c / f - margin, (image_size - c) / f + margin);
+    vec2 f = intrinsics.xy, c = intrinsics.zw, above = vec2(0.0, rows_outside.x), below = vec2(0.0, rows_outside.y);
+    vec2 margin = 0.15 * (image_size + above + below) / f;
+    vec2 slope = clamp(p.xy / p.z, -(c + above) / f - margin, (image_size + below - c) / f + margin);
     vec3 ux = vec3(f.x / p.z, 0.0, -f.x * slope.x / p.z) * axes;
     vec3 uy = vec3(0.0, f.y / p.z, -f.y * slope.y / p.z) * axes;
     float a = dot(ux, ux), b = dot(ux, uy), d = dot(uy, uy);

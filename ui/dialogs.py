@@ -227,7 +227,7 @@ class CommandPalette:
         imgui.set_next_item_width(-1)
         changed, self._typed = imgui.input_text_with_hint("##typed", "Type a command", self._typed)
         words = self._typed.lower().split()
-        found = [row for row in _rows(editor) if all(word in row.name.lower() for word in words)]
+        found = _found(_rows(editor), words)
         step = imgui.is_key_pressed(imgui.Key.down_arrow) - imgui.is_key_pressed(imgui.Key.up_arrow)
         self._line = 0 if changed else min(max(self._line + step, 0), max(len(found) - 1, 0))
         chosen = self._list(found)
@@ -260,6 +260,13 @@ class CommandPalette:
                 imgui.text_disabled("Nothing of that name.")
         imgui.end_child()
         return chosen
+
+
+def _found(rows: list[_PaletteRow], words: list[str]) -> list[_PaletteRow]:
+    """Return rows with all words: first those with them in the name, then those with some in the help."""
+    by_name = [row for row in rows if all(word in row.name.lower() for word in words)]
+    by_help = [row for row in rows if all(word in f"{row.name} {row.help}".lower() for word in words)]
+    return by_name + [row for row in by_help if row not in by_name]
 
 
 def _rows(editor: Editor) -> list[_PaletteRow]:

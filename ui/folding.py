@@ -1,5 +1,7 @@
 """Panels in small windows: docks fold to a strip of their names, and a click opens one panel over the viewport."""
 
+from collections.abc import Collection
+
 from imgui_bundle import ImVec2, hello_imgui, imgui
 
 from .widgets.text import visible_name
@@ -9,6 +11,7 @@ _SIDES = ("LeftSpace", "LeftBottomSpace", "RightSpace", "RightBottomSpace")
 _BOTTOM = ("BottomSpace",)
 _OPEN_EM = 24.0  # width of the open panel
 _GAP = 4.0
+_APPEAR_FRAMES = 2  # from the unfolding of docks until all their windows are there
 
 
 class FoldedPanels:
@@ -21,17 +24,27 @@ class FoldedPanels:
         """Labels of the folded panels, in the order of the strip."""
         self._folded: tuple[str, ...] = ()
         self._known: set[str] = set()
+        self._front = frozenset[str]()
+        """Labels of the panels that were in front when docks were folded."""
+        self._until_front = 0
 
-    def update(self) -> None:
-        """Fold or unfold by the window's size. Once a frame, before the panels are drawn."""
+    def update(self, front: Collection[str]) -> None:
+        """Fold or unfold by the window's size. Once a frame, before panels are drawn; `front`: labels in front."""
         size, style = imgui.get_main_viewport().size, imgui.get_style()
         scale = style.font_scale_main * style.font_scale_dpi
         is_narrow, is_low = size.x < _MIN_WIDTH * scale, size.y < _MIN_HEIGHT * scale
         folded = (*(_SIDES if is_narrow else ()), *(_BOTTOM if is_low else ()))
         if folded != self._folded:
+            if not self._folded:
+                self._front = frozenset(front)
             self.unfold()
             self._folded = folded
             self._known = set()
+            self._until_front = _APPEAR_FRAMES
+        elif self._until_front:  # windows that appear take the front of their dock
+            self._until_front -= 1
+            for each in panel_windows() if not self._until_front else ():
+                each.focus_window_at_next_frame = each.is_visible and each.label in self._front
         visible = [each for each in panel_windows() if each.is_visible and each.dock_space_name in folded]
         for each in visible:
             each.is_visible = each.focus_window_at_next_frame = False

@@ -3,19 +3,19 @@
 import logging
 from datetime import datetime, timedelta
 
-from imgui_bundle import hello_imgui, imgui
+from imgui_bundle import ImVec2, hello_imgui, imgui
 
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.files import Files
 
-from .commands.keys import chord, chords_of
+from .commands.keys import chord, chords_of, parse_chord
 from .commands.table import COMMAND_GROUPS, COMMANDS, Command
 from .folding import bring_to_front, panel_windows
 from .panels.jobs import job_tray, tray_width
 from .tools import TOOLS
 from .widgets.fields import WARNING
 from .widgets.text import label
-from .widgets.type_ahead import is_menu_open
+from .widgets.type_ahead import has_keys
 
 _NO_OWNER = 0xFFFFFFFF  # ImGuiKeyOwner_NoOwner
 
@@ -25,7 +25,7 @@ def act_on_keys(editor: Editor) -> None:
 
     None of them if a text field has the focus, and none of keys that a widget uses, such as the arrows of a compass.
     """
-    if imgui.get_io().want_text_input or is_menu_open():
+    if imgui.get_io().want_text_input or has_keys():
         return
     for tool in TOOLS:
         if tool.key is not None and imgui.is_key_chord_pressed(chord(tool.key)):
@@ -46,9 +46,18 @@ def _is_used(keys: int) -> bool:
 MENUS = ("File", "Edit", "Select", "Scene", "Rain", "Drive", "Timeline", "View", "Help")
 
 
+_LETTERS = {title: "C" if title == "Scene" else title[0] for title in MENUS}
+"""With Alt, each opens its menu; underlined while Alt is held."""
+
+
 def draw_menus(editor: Editor) -> None:
     for title in MENUS:
-        if imgui.begin_menu(title):
+        if _is_opened_by_key(title):
+            imgui.open_popup(title)
+        is_open = imgui.begin_menu(title)
+        if imgui.get_io().key_alt:
+            _underline(title)
+        if is_open:
             groups = [[command for command in group if command.menu == title] for group in COMMAND_GROUPS]
             for number, group in enumerate(filter(None, groups)):
                 if number:
@@ -61,6 +70,26 @@ def draw_menus(editor: Editor) -> None:
                 imgui.separator()
                 _panels()
             imgui.end_menu()
+
+
+def _is_opened_by_key(title: str) -> bool:
+    """Return True in the frame in which Alt and the letter of a menu are pressed, or F10 for the first one."""
+    if imgui.internal.get_top_most_popup_modal() is not None:
+        return False
+    if title == MENUS[0] and imgui.is_key_pressed(imgui.Key.f10, False):
+        return True
+    return imgui.is_key_chord_pressed(parse_chord(f"Alt+{_LETTERS[title]}"))
+
+
+def _underline(title: str) -> None:
+    """Underline the letter of the menu that was drawn last."""
+    low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
+    wide, at = imgui.calc_text_size(title).x, title.upper().index(_LETTERS[title])
+    left = (low.x + high.x - wide) / 2 + imgui.calc_text_size(title[:at]).x
+    y = (low.y + high.y + imgui.get_font_size()) / 2
+    right = left + imgui.calc_text_size(title[at]).x
+    ink = imgui.get_color_u32(imgui.Col_.text)
+    imgui.get_window_draw_list().add_line(ImVec2(left, y), ImVec2(right, y), ink)
 
 
 def _item(editor: Editor, command: Command) -> None:

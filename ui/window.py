@@ -507,14 +507,22 @@ def restart_program(left: RestartState, lived_s: float) -> NoReturn:
 # Style: dark and light theme
 
 _THEMES = {"dark": hello_imgui.ImGuiTheme_.darcula_darker, "light": hello_imgui.ImGuiTheme_.light_rounded}
+_DEFAULT_STYLE = imgui.Style()
+_STYLE_SIZES = tuple(
+    name
+    for name in dir(_DEFAULT_STYLE)
+    if not name.startswith(("_", "font")) and isinstance(getattr(_DEFAULT_STYLE, name), float | ImVec2)
+)
 _MIN_TAB_PX = 30.0  # tabs shrink to this width in a narrow window before they scroll
 
 
 def apply_style(preferences: Preferences, scale: float = 1.0) -> None:
     """Set colors and sizes; `scale` is that of the screen, by which hello_imgui multiplies sizes only at the start."""
-    for_screen = imgui.get_style().font_scale_dpi
-    hello_imgui.apply_theme(_THEMES[preferences.theme])
     style = imgui.get_style()
+    for name in _STYLE_SIZES:  # themes leave most of them, and what is scaled already would be scaled once more
+        setattr(style, name, getattr(_DEFAULT_STYLE, name))
+    for_screen = style.font_scale_dpi
+    hello_imgui.apply_theme(_THEMES[preferences.theme])
     style.frame_rounding = style.grab_rounding = 3.0
     style.frame_border_size = 1.0  # the light theme has none: unchecked boxes would be white on white
     style.window_rounding = 0.0

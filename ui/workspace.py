@@ -57,6 +57,7 @@ class Workspace:
         self._capture = editor.captures.capture
         self._last_problem = ""
         self._drawn, self._front = set[str](), ("",)
+        self._first_front, self._settled_front = set[str](), tuple[str, ...]()
 
     def dockable_windows(self) -> list[hello_imgui.DockableWindow]:
         windows, panels = list[hello_imgui.DockableWindow](), all_panels()
@@ -68,6 +69,8 @@ class Workspace:
             window.focus_window_at_next_frame = panel.title in before.front_panels or (
                 is_first_there and not before.front_panels
             )
+            if window.focus_window_at_next_frame:
+                self._first_front.add(panel.title)
             window.is_visible = panel.title not in before.hidden_panels
             window.can_be_closed = False  # a close button on each tab takes too much width; View > Panels hides them
             windows.append(window)
@@ -86,6 +89,7 @@ class Workspace:
         """Put the panels that are in front, and those that are hidden, into the preferences when they change."""
         front, self._drawn = tuple(sorted(self._drawn)), set()
         is_stable, self._front = front == self._front, front
+        self._settled_front = front if is_stable else self._settled_front
         titles = {each.window_name: each.title for each in all_panels()}
         gone = [each for each in panel_windows() if not each.is_visible and each.label not in self.folded.hidden]
         hidden = tuple(sorted(titles[each.label] for each in gone))
@@ -102,7 +106,8 @@ class Workspace:
     def update(self) -> None:
         """Advance time. Call it once per frame, before drawing."""
         editor, viewport, wet_look = self.editor, self.editor.viewport, self.editor.wet_look
-        self.folded.update()
+        front = self._settled_front or self._first_front
+        self.folded.update({each.window_name for each in all_panels() if each.title in front})
         self._take_picture()
         self._remember_panels()
         editor.tick(self._pace.step(imgui.get_io().delta_time))

@@ -29,6 +29,7 @@ from .lamps import LampFinder
 from .live_rain import LiveRain
 from .make_rainy import WetLookController
 from .matching import MatchingController
+from .night import NightLook
 from .preferences import PreferencesStore
 from .rain import CalibrationTools, KeyframePanelState
 from .rain_tracks import RainTracks
@@ -78,6 +79,7 @@ class Editor:
         self.scene_setup = SceneSetup(self.document, self.viewport)
         self.floaters = FloaterFinder(self.document, self.jobs)
         self.lamps = LampFinder(self.document, self.jobs)
+        self.night_look = NightLook(self.document, self.jobs)
         self.wet_look = WetLookController(
             self.viewport, self.live_rain, self.captures, self.jobs, self.files, self.status
         )
@@ -261,7 +263,7 @@ class Editor:
         assert frame is not None
         viewport.picture_view = frame.canvas_view
         viewport.is_compiling, viewport.is_catching_up = result.is_compiling, result.is_catching_up
-        viewport.is_preparing = result.is_preparing
+        viewport.is_preparing, viewport.budget.has_cuts = result.is_preparing, result.has_cuts
         for problem in result.problems:
             self.status.report(problem)
         if result.drawn is not None:

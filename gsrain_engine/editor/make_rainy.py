@@ -210,7 +210,7 @@ class WetLookController:
 SOURCES: tuple[Source, ...] = get_args(Source)
 
 TITLES: dict[Source, str] = {
-    "auto": "the best there are",
+    "auto": "best available",
     "recorded": "of the open capture",
     "rig": "of the rig, along the drive",
     "path": "along the camera path",

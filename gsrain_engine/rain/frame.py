@@ -151,7 +151,8 @@ class RainFrame:
         """
         count = self.count if self.rain.streaks or not in_view else 0
         if count == 0:
-            return self.falling(place_drops(np.zeros(0, np.int64), self.rain.seed, self.where))
+            none = np.zeros(0, np.int64)
+            return FallingDrops(none, none, np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3)))
         turns = -(-count // (CLASSES * LANES)) * LANES  # whole SIMD vectors: a remainder would run one by one
         found = np.empty((CLASSES, turns), np.bool_)
         culling, where = self.culling, self.where
@@ -209,6 +210,8 @@ class RainFrame:
     @cached_property
     def streaks(self) -> Gaussians:
         """Streak Gaussians of the visible drops."""
+        if not self.draws_drops:
+            return Gaussians.empty()
         drops = self.drops
         return streak_gaussians(
             drops.positions_m, drops.diameters_mm, drops.velocities_m_s, self.shutter, self.rain, self.color

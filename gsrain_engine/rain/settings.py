@@ -223,7 +223,7 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         title="Wetness", extra={"ge": 0.0, "le": 1.0, "commands": "render"},
         description="Share of soaked colors, 0..1; 0 is as lit; none follows the rain (docs/physics.md, 11).")] = None
     mirror: Annotated[bool, Meta(
-        title="Mirror", extra={"commands": "render, drive, evaluate detection"},
+        title="Reflections", extra={"commands": "render, drive, evaluate detection"},
         description="Water on the ground reflects the scene as it is, in scenes with a map of that water.")] = True
     splashes: Annotated[bool, Meta(
         title="Splashes and rings", extra={"commands": "render, drive, evaluate detection"},

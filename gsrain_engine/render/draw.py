@@ -25,6 +25,7 @@ from ..water.leveled_ground import leveled_view
 from ..water.mirror import LensMirror
 from ..water.splashes import Splashes
 from ..water.spray import spray_gaussians, spray_of
+from .bands import PictureBands
 from .camera_response import PictureOptics
 from .cpu.renderer import CpuRenderer
 from .export_settings import Lod
@@ -86,18 +87,20 @@ def draw_view(
     with_depth: bool = False,
     look: RenderMode = "splats",
     thinning: "Thinning | None" = None,
+    reflected: "Thinning | None" = None,
     selection: bool = False,
     falls: bool = True,
     reuse: MirrorReuse | None = None,
     still: StillScene | None = None,
+    bands: PictureBands | None = None,
 ) -> None:
     """Draw a scene with its rain into the renderer's image; render modes other than "splats" omit the rain.
 
     Wet colors follow the rain's wetness and fog, and the sky its share of clouds, also if nothing `falls`; without
     `rainfall` the scene is clear and dry. With the rain's `mirror`, water on the ground reflects the scene. `thinning`
-    leaves out some of each part's Gaussians; `selection` tints selected ones; `reuse` draws fewer mirrors, and `still`
-    what stands still only once, by a renderer that can. Spray counts in depth: where `has_spray`, draw the scene's own
-    depth without rain.
+    leaves out some of each part's Gaussians, `reflected` others in mirrors; `selection` tints selected ones; `reuse`
+    draws fewer mirrors, and `still` what stands still only once, by a renderer that can; `bands` of the renderer draw
+    and read the picture instead. Spray counts in depth: where `has_spray`, draw the scene's own depth without rain.
     """
     rain, wetness, soaked, overcast = None, 0.0, 0.0, 0.0
     lamps = scene.lamps if rainfall is None else rainfall.lamps_of(scene, shot.time_s)
@@ -133,9 +136,10 @@ def draw_view(
         parts = reflecting_items(parts, scene)
         waves = ring_waves(scene, rainfall, level, shot.time_s, shot.focal_px) if falls else None
         water = wetness, flooded_share(depth.film_mm), sky.drops
+        below = partial(subset_items, items, reflected or thinning)
         reflect = partial(
-            draw_mirror, renderer, scene, partial(subset_items, items, thinning), rain, level, *water, lit_lamps,
-            standing, waves, SHARE if still is None else FAST_SHARE,
+            draw_mirror, renderer, scene, below, rain, level, *water, lit_lamps, standing, waves,
+            SHARE if still is None else FAST_SHARE,
         )  # fmt: skip
         if still is not None:
             mirror = still.mirror(level, before, (*water, standing), reflect, waves)
@@ -155,7 +159,7 @@ def draw_view(
 
         still.draw(renderer, behind, behind_parts, parts, shot.camera, rain, mirror)
     else:
-        renderer.draw(parts, shot.camera, rain, with_depth=with_depth, look=look, mirror=mirror)
+        (bands or renderer).draw(parts, shot.camera, rain, with_depth=with_depth, look=look, mirror=mirror)
 
 
 def has_splashes(scene: Scene, rainfall: RainSimulation, wetness: float) -> bool:
@@ -332,12 +336,17 @@ class LodSample:
         return [part._replace(gaussians=gaussians, wet_sh=wet_sh, left_out=left_out, selected=selected, tree=None)]
 
 
+_GROWN = 0.85
+"""Part of the growth of a sample: with all of it, its areas add up to those of all Gaussians. These overlap more, so
+that it would hide more than they do. Found by the view behind drops on glass."""
+
+
 @scene_cache(maxsize=64)
 def _sampled(gaussians: Gaussians, share: float) -> tuple[Int64[np.ndarray, " m"], Gaussians]:
     mask, growth = lod_sample(gaussians, share)
     rows = np.flatnonzero(mask)
     sample = gaussians.take(rows)
-    return rows, replace(sample, scales=sample.scales * np.float32(growth))
+    return rows, replace(sample, scales=sample.scales * np.float32(1 + _GROWN * (growth - 1)))
 
 
 @scene_cache(maxsize=64)

@@ -15,6 +15,7 @@ from ..scene.camera_path import CameraPath
 from ..scene.rig import rig_camera
 from ..scene.scene import RigCamera, Scene
 from ..water.glass import CameraMotion, GlassState
+from .bands import PictureBands, has_one_band
 from .camera_optics import CameraOptics, glass_state
 from .camera_response import PictureOptics
 from .draw import LodCut, RenderView, draw_view, has_spray, request_picture
@@ -162,6 +163,7 @@ class FrameSequence:
         rainfall = None if sky is None else self.rainfall
         color = OVERCAST if sky is None else sky.at(self.rainfall.overcast_at(self.time_s(number)))
         shots, side = list(map(face_view, self.shots(number))), self.supersampling
+        bands = PictureBands(renderer, side)
         has_own_depth = with_depth and len(shots) == side == 1
         has_own_depth = has_own_depth and not has_spray(self.scene, rainfall, shots[0].time_s)
         thinning = LodCut() if self.lod and look == "splats" and not has_own_depth else None
@@ -175,12 +177,9 @@ class FrameSequence:
                 shot = replace(shot, camera=finer, focal_px=shot.focal_px or float(np.sqrt(camera.fx * camera.fy)))
             draw_view(
                 renderer, self.scene, rainfall, color, shot, with_depth=has_own_depth, look=look, thinning=thinning,
-                falls=self.falls,
+                falls=self.falls, bands=bands,
             )  # fmt: skip
-            frame = renderer.read()
-            if side > 1:
-                blocks = frame.rgba.reshape(frame.rgba.shape[0] // side, side, frame.rgba.shape[1] // side, side, 4)
-                frame = replace(frame, rgba=blocks.mean(axis=(1, 3), dtype=np.float32))
+            frame = bands.frame
             if len(shots) > 1:
                 light = to_linear_light(frame.rgba)
                 total = light if total is None else total + light
@@ -191,8 +190,9 @@ class FrameSequence:
         if self.sky_scene is not None and has_medium and self.falls:
             frame = self._without_airlight(renderer, frame, color, face_view(self.shot(number)))
         if with_depth and not has_own_depth:
-            draw_view(renderer, self.scene, None, color, face_view(self.shot(number)), with_depth=True)
-            frame = replace(frame, depth=renderer.read().depth)
+            bands = PictureBands(renderer)
+            draw_view(renderer, self.scene, None, color, face_view(self.shot(number)), with_depth=True, bands=bands)
+            frame = replace(frame, depth=bands.frame.depth)
         return replace(frame, optics=optics)
 
     def _without_airlight(self, renderer: Renderer, frame: Frame, sky: SkyLight, shot: RenderView) -> Frame:
@@ -202,8 +202,9 @@ class FrameSequence:
         """
         rain = msgspec.structs.replace(self.rainfall.rain, haze="none", visibility_m=None)
         clear_air = RainSimulation.start(rain, weather=self.rainfall.weather)
-        draw_view(renderer, self.scene, clear_air, sky, shot, falls=self.falls)
-        alpha = renderer.read().rgba[..., 3:]
+        bands = PictureBands(renderer)
+        draw_view(renderer, self.scene, clear_air, sky, shot, falls=self.falls, bands=bands)
+        alpha = bands.frame.rgba[..., 3:]
         airlight = np.array(self.rainfall.rain.drop_color or sky.airlight, np.float32)
         color = np.maximum(frame.rgba[..., :3] - (1 - alpha) * airlight, 0)
         return replace(frame, rgba=np.concatenate([np.minimum(color, alpha), alpha], axis=-1))
@@ -218,9 +219,10 @@ class FrameSequence:
         self, renderer: Renderer, number: int, sky: SkyColor | None, *, look: RenderMode = "splats"
     ) -> PendingImage:
         """Draw a frame as `image` does, and start to read it back: others can be drawn meanwhile."""
-        if self.motion_blur > 1 or self.supersampling > 1 or self.projection != "perspective":
-            return self.frame(renderer, number, sky, look=look).to_uint8
         rainfall, shot = None if sky is None else self.rainfall, self.shot(number)
+        is_composed = self.motion_blur > 1 or self.supersampling > 1 or self.projection != "perspective"
+        if is_composed or not has_one_band(shot.camera):
+            return self.frame(renderer, number, sky, look=look).to_uint8
         color = OVERCAST if sky is None else sky.at(self.rainfall.overcast_at(shot.time_s))
         optics = self._optics_of(renderer, number, color, look, falls=sky is not None)
         thinning = LodCut() if self.lod and look == "splats" else None

@@ -34,6 +34,8 @@ class Camera:
     """None is a pinhole."""
     rolling: RollingShutter | None = None
     """Motion during the readout, in the middle of which the camera has its pose; None is a global shutter."""
+    rows_outside: tuple[int, int] = (0, 0)
+    """Rows above and below that the whole picture has, of which this is a `band`."""
 
     @classmethod
     def from_fov(
@@ -109,6 +111,23 @@ class Camera:
             cx=width / 2 + (self.cx - self.width / 2) * s,
             cy=self.cy * s,
         )
+
+    def band(self, top: int, rows: int) -> "Camera":
+        """Camera of some rows of the picture. Projection holds back Gaussians beside the whole picture, not the band.
+
+        Only for a pinhole with a global shutter.
+        """
+        assert self.is_pinhole, "rows of a lens or a rolling shutter have rays and times of their own"
+        above, below = self.rows_outside[0] + top, self.rows_outside[1] + self.height - top - rows
+        return replace(self, height=rows, cy=self.cy - top, rows_outside=(above, below))
+
+    @property
+    def whole(self) -> "Camera":
+        """Camera of the whole picture of a band."""
+        above, below = self.rows_outside
+        if not (above or below):
+            return self
+        return replace(self, height=self.height + above + below, cy=self.cy + above, rows_outside=(0, 0))
 
     def moved(self, similarity: Float64[np.ndarray, "4 4"]) -> "Camera":
         """Return the camera with the same view of a transformed world (scene units to meters, for example)."""

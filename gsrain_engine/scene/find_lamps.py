@@ -102,6 +102,21 @@ def find_lamps(scene: Scene) -> tuple[Lamp, ...]:
     return _found(parts, scene.metres_per_unit, scene.up)
 
 
+def is_dark(scene: Scene) -> bool:
+    """Return whether a scene shows a night, by the light of its visible Gaussians that are no sky."""
+    parts = [_part(each) for each in scene.members if each.visible and not is_sky(each)]
+    return _are_dark([_surfaces(part, scene.metres_per_unit) for part in parts])
+
+
+def _are_dark(surfaces: list["_Surfaces"]) -> bool:
+    light = np.concatenate([np.zeros(0), *(each.light @ LUMINANCE for each in surfaces)])
+    if not len(light):
+        return False
+    weights = np.concatenate([each.opacities for each in surfaces])
+    middle, high = _quantiles(light, weights, (0.5, 0.9))
+    return middle <= DARK_MEDIAN and high <= DARK_HIGH
+
+
 def _part(member: Layer | Actor) -> _Part:
     pose = member.to_scene if isinstance(member, Layer) else np.eye(4)
     mount = member.id if isinstance(member, Actor) else "scene"
@@ -113,12 +128,7 @@ def _part(member: Layer | Actor) -> _Part:
 def _found(parts: tuple[_Part, ...], metres_per_unit: float, up: Vector) -> tuple[Lamp, ...]:
     """Lamps of all parts; cached, as drives have the same parts in every frame."""
     surfaces = [_surfaces(part, metres_per_unit) for part in parts]
-    light = np.concatenate([np.zeros(0), *(each.light @ LUMINANCE for each in surfaces)])
-    if not len(light):
-        return ()
-    weights = np.concatenate([each.opacities for each in surfaces])
-    middle, high = _quantiles(light, weights, (0.5, 0.9))
-    if middle > DARK_MEDIAN or high > DARK_HIGH:
+    if not _are_dark(surfaces):
         return ()
     lamps: list[Lamp] = []
     for mount in dict.fromkeys(part.mount for part in parts):

@@ -122,21 +122,26 @@ def build_lod_tree(gaussians: Gaussians) -> LodTree:
     return LodTree(gaussians, leaves, nodes, radii, errors)
 
 
-@scene_cache(maxsize=64)
-def _merged_harmonics(tree: LodTree, key: IdentityKey) -> Float32[np.ndarray, "m k 3"]:
-    sh: np.ndarray = key.of  # pyright: ignore[reportAssignmentType]
-    merged = np.empty((len(tree.nodes), *sh.shape[1:]), np.float32)
+def average_below(tree: LodTree, values: Float32[np.ndarray, "n k 3"]) -> Float32[np.ndarray, "m k 3"]:
+    """Average numbers of a tree's Gaussians for each node, with the weights by which it merges them."""
+    merged = np.empty((len(tree.nodes), *values.shape[1:]), np.float32)
     starts, g = tree.levels, tree.gaussians
     for level in range(len(starts) - 1):
         own = slice(int(starts[level]), int(starts[level + 1]))
         if level == 0:
-            _average(g.scales, g.opacities, sh, tree.leaves, merged[own])
+            _average(g.scales, g.opacities, values, tree.leaves, merged[own])
         else:
             lower = slice(int(starts[level - 1]), int(starts[level]))
             nodes, no_order = tree.nodes, np.zeros(0, np.uint32)
             _average(nodes.scales[lower], nodes.opacities[lower], merged[lower], no_order, merged[own])
-    release_pages([*g.arrays, *tree.nodes.arrays, sh])
+    release_pages([*g.arrays, *tree.nodes.arrays, values])
     return merged
+
+
+@scene_cache(maxsize=64)
+def _merged_harmonics(tree: LodTree, key: IdentityKey) -> Float32[np.ndarray, "m k 3"]:
+    sh: np.ndarray = key.of  # pyright: ignore[reportAssignmentType]
+    return average_below(tree, sh)
 
 
 def merged_harmonics(tree: LodTree, sh: Float32[np.ndarray, "n k 3"]) -> Float32[np.ndarray, "m k 3"]:
@@ -148,18 +153,24 @@ class CutIndices(NamedTuple):
     """Gaussians and nodes of a tree that are drawn for a camera."""
 
     leaves: Int64[np.ndarray, " a"]
-    """Indices of the tree's Gaussians, rising."""
+    """Indices of the tree's Gaussians, rising by default."""
     nodes: Int64[np.ndarray, " b"]
     """Indices of its nodes."""
 
 
 def cut_lod_tree(
-    tree: LodTree, camera: Camera, to_world: Float64[np.ndarray, "4 4"], pixel: float = PIXEL
+    tree: LodTree,
+    camera: Camera,
+    to_world: Float64[np.ndarray, "4 4"],
+    pixel: float = PIXEL,
+    *,
+    in_order: bool = True,
 ) -> CutIndices:
     """Find the coarsest nodes with errors under `pixel` pixels, and the Gaussians where there is none.
 
     Each Gaussian near the image is in the result once, itself or merged; those outside may be omitted. `to_world` is
-    the similarity from the tree's Gaussians to the camera's world.
+    the similarity from the tree's Gaussians to the camera's world. Unless `in_order`, which takes as long as the rest,
+    the Gaussians are in the order of the tree.
     """
     starts = tree.levels
     m = np.ascontiguousarray(camera.world_to_camera @ to_world, np.float64)
@@ -180,7 +191,8 @@ def cut_lod_tree(
     ends = np.cumsum(counts, axis=0)
     leaves, nodes = (np.empty(int(each), np.int64) for each in ends[-1])
     _gather(found_leaves, found_nodes, counts, ends, leaves, nodes)
-    leaves.sort()  # renderers draw equal depths in the order of the indices
+    if in_order:
+        leaves.sort()  # renderers draw equal depths in the order of the indices
     return CutIndices(leaves, nodes)
 
 

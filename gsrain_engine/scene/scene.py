@@ -653,6 +653,15 @@ def is_sky(member: Layer | Actor) -> bool:
     return isinstance(member, Layer) and member.kind == "sky"
 
 
+def ahead_of(scene: Scene) -> Float64[np.ndarray, "3"]:
+    """Level unit vector of the world along which a scene without a drive is first looked at.
+
+    Captures look along their +z if up is -y (COLMAP's axes), along +x if up is +z.
+    """
+    ahead = scene.scene_to_world[:3, 0 if scene.up == (0.0, 0.0, 1.0) else 2] * np.array([1.0, 1.0, 0.0])
+    return ahead / np.linalg.norm(ahead) if np.linalg.norm(ahead) > 1e-6 else np.array([1.0, 0.0, 0.0])
+
+
 @lru_cache(maxsize=64)
 def rotation_to_z_up(up: tuple[float, float, float]) -> Float64[np.ndarray, "3 3"]:
     """Rotation that maps `up` to +z: the smallest, except nearly upside down; exact if `up` is an axis."""

@@ -203,7 +203,9 @@ class DriveSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, 
     ] = ()
     mirror: Annotated[
         tuple[bool | None, ...],
-        Meta(min_length=1, title="Mirror", description="Whether water on the ground reflects; null: the scenario's."),
+        Meta(
+            min_length=1, title="Reflections", description="Whether water on the ground reflects; null: the scenario's."
+        ),
     ] = (None,)
     splashes: Annotated[
         tuple[bool | None, ...],

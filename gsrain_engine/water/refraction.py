@@ -107,7 +107,7 @@ class GlassView:
                 float(np.radians(glass.contact_angle_deg)),
             )  # fmt: skip
         size = max(width // 12, 2), max(height // 12, 2)
-        sparse = np.ascontiguousarray(image[1::3, 1::3])
+        sparse = np.ascontiguousarray(image[2::4, 2::4])
         blurred = np.asarray(cv2.resize(sparse, size, interpolation=cv2.INTER_AREA), np.uint8)
         _draw_veil(
             layer, view, axes, np.array(pane.low_m), glass.film_m, glass.film_cell_m, glass.dirt,
@@ -375,19 +375,21 @@ def _draw_drops(layer, drops, boxes, row_starts, members, view, axes, source, le
 
 @numba.njit(cache=True, nogil=NOGIL)
 @no_type_check
-def _noise(u, v, size, seed):
-    """Smooth noise 0..1 over the pane."""
+def _noise(u, v, size, seed, lattice):
+    """Smooth noise 0..1 over the pane; `lattice` holds a cell and its corners from one call to the next."""
     x, y = u / size, v / size
     column, row = np.floor(x), np.floor(y)
+    if column != lattice[0] or row != lattice[1]:
+        lattice[0], lattice[1] = column, row
+        for corner in range(4):
+            i, j = np.int64(column) + (corner & 1), np.int64(row) + (corner >> 1)
+            a, _, _, _ = pcg4d_scalar(np.uint32(i), np.uint32(j), np.uint32(0x165667B1), seed)
+            lattice[2 + corner] = a * 2.0**-32
     right, above = x - column, y - row
     right, above = right * right * (3 - 2 * right), above * above * (3 - 2 * above)
-    total = 0.0
-    for corner in range(4):
-        i, j = np.int64(column) + (corner & 1), np.int64(row) + (corner >> 1)
-        a, _, _, _ = pcg4d_scalar(np.uint32(i), np.uint32(j), np.uint32(0x165667B1), seed)
-        weight = (right if corner & 1 else 1 - right) * (above if corner >> 1 else 1 - above)
-        total += weight * a * 2.0**-32
-    return total
+    lower = lattice[2] + right * (lattice[3] - lattice[2])
+    upper = lattice[4] + right * (lattice[5] - lattice[4])
+    return lower + above * (upper - lower)
 
 
 @numba.njit(parallel=True, cache=True, nogil=NOGIL)
@@ -402,6 +404,7 @@ def _draw_veil(layer, view, axes, low, film, film_cell, dirt, blade, blurred, se
     tall, wide = blurred.shape[0], blurred.shape[1]
     height, width = (layer.shape[0] - 2 * margin) * cell, (layer.shape[1] - 2 * margin) * cell
     for row in numba.prange(layer.shape[0]):
+        coarse, fine = np.full(6, np.inf), np.full(6, np.inf)
         y = ((row + 0.5 - margin) * cell - cy) / fy
         for column in range(layer.shape[1]):
             x = ((column + 0.5 - margin) * cell - cx) / fx
@@ -412,11 +415,12 @@ def _draw_veil(layer, view, axes, low, film, film_cell, dirt, blade, blurred, se
             px, py, pz = path * x - axes[3, 0], path * y - axes[3, 1], path - axes[3, 2]
             u = px * axes[0, 0] + py * axes[0, 1] + pz * axes[0, 2]
             v = px * axes[1, 0] + py * axes[1, 1] + pz * axes[1, 2]
-            from_pivot = np.hypot(u - PIVOT_M[0], v - PIVOT_M[1])
+            from_pivot = np.sqrt((u - PIVOT_M[0]) ** 2 + (v - PIVOT_M[1]) ** 2)
             is_wiped = blade >= 0.0 and INNER_M <= from_pivot <= OUTER_M
             dirty = 0.0
             if dirt > 0.0:
-                spots = 0.6 * _noise(u, v, _DIRT_M[0], seed) + 0.4 * _noise(u, v, _DIRT_M[1], seed + np.uint32(1))
+                spots = 0.6 * _noise(u, v, _DIRT_M[0], seed, coarse)
+                spots += 0.4 * _noise(u, v, _DIRT_M[1], seed + np.uint32(1), fine)
                 dirty = _DIRT_SHARE * dirt * (0.3 + 1.4 * max(spots - 0.25, 0.0))
                 if is_wiped:
                     dirty *= _WIPED_SHARE
@@ -453,58 +457,60 @@ def _draw_veil(layer, view, axes, low, film, film_cell, dirt, blade, blurred, se
 @numba.njit(parallel=True, cache=True, nogil=NOGIL)
 @no_type_check
 def _blurred(layer, radii):
-    """Average over disks, with the radius of each row in cells; the border goes on outside."""
-    rows, columns = layer.shape[0], layer.shape[1]
-    sums = np.zeros((rows, columns + 1, 4))
+    """Average over disks, with the radius of each row in cells; not at the sides of the layer, a radius wide."""
+    rows, width = layer.shape[0], 4 * layer.shape[1]
+    sums = np.empty((rows, width + 4))  # of the cells to the left, four channels each
+    made = np.zeros(layer.shape, np.float32)
     for row in numba.prange(rows):
-        for column in range(columns):
+        total = np.zeros(4)
+        for column in range(layer.shape[1]):
             for channel in range(4):
-                sums[row, column + 1, channel] = sums[row, column, channel] + layer[row, column, channel]
-    made = np.empty_like(layer)
+                sums[row, 4 * column + channel] = total[channel]
+                total[channel] += layer[row, column, channel]
+        sums[row, width:] = total
+    flat, flat_made = layer.reshape(rows, width), made.reshape(rows, width)
     for row in numba.prange(rows):
         radius = max(radii[row], 0.5)
         reach = int(np.ceil(radius))
-        weights = np.zeros(2 * reach + 1)
-        halves = np.zeros(2 * reach + 1)
         area = 0.0
-        for k in range(-reach, reach + 1):
-            # Mean half chord over the height of the cell, of the part that has one.
-            top, bottom = min(k + 0.5, radius), max(k - 0.5, -radius)
-            if top <= bottom:
-                continue
-            middle = 0.5 * (top + bottom)
-            halves[k + reach] = np.sqrt(max(radius * radius - middle * middle, 0.0))
-            weights[k + reach] = top - bottom
-            area += 2.0 * halves[k + reach] * (top - bottom)
-        total = np.empty(4)
-        for column in range(columns):
-            total[:] = 0.0
+        for part in range(2):  # the area of the disk, then the sums over its rows
             for k in range(-reach, reach + 1):
-                weight = weights[k + reach]
-                if weight <= 0.0:
+                # Mean half chord over the height of the cell, of the part that has one.
+                top, bottom = min(k + 0.5, radius), max(k - 0.5, -radius)
+                if top <= bottom:
                     continue
-                other = min(max(row + k, 0), rows - 1)
-                low = min(max(column + 0.5 - halves[k + reach], 0.0), float(columns))
-                high = min(max(column + 0.5 + halves[k + reach], 0.0), float(columns))
-                i, j = min(int(low), columns - 1), min(int(high), columns - 1)
-                left, right = low - i, high - j
-                # Outside of the layer the disk has nothing; the margin keeps that from the picture.
-                for channel in range(4):
-                    total[channel] += weight * (
-                        sums[other, j, channel] + right * layer[other, j, channel]
-                        - sums[other, i, channel] - left * layer[other, i, channel]
-                    )  # fmt: skip
-            for channel in range(4):
-                made[row, column, channel] = total[channel] / area
+                middle = 0.5 * (top + bottom)
+                half = np.sqrt(max(radius * radius - middle * middle, 0.0))
+                if part == 0:
+                    area += 2.0 * half * (top - bottom)
+                    continue
+                # The chord begins and ends within cells that are so far to the left and right.
+                i, j = int(np.floor(0.5 - half)), int(np.floor(0.5 + half))
+                left, right = np.float32(0.5 - half - i), np.float32(0.5 + half - j)
+                weight = (top - bottom) / area
+                first, last, other = 4 * max(-i, 0), width - 4 * max(j, 0), min(max(row + k, 0), rows - 1)
+                _add_chord(
+                    flat_made[row, first:last], sums[other, first + 4 * j : last + 4 * j],
+                    flat[other, first + 4 * j : last + 4 * j], right, sums[other, first + 4 * i : last + 4 * i],
+                    flat[other, first + 4 * i : last + 4 * i], left, weight,
+                )  # fmt: skip
     return made
+
+
+@numba.njit(cache=True, nogil=NOGIL)
+@no_type_check
+def _add_chord(made, sums_to, to, right, sums_from, start, left, weight):
+    for n in range(len(made)):
+        made[n] += weight * (sums_to[n] - sums_from[n] + (right * to[n] - left * start[n]))
 
 
 @numba.njit(parallel=True, cache=True, nogil=NOGIL)
 @no_type_check
 def _composite(image, layer, cell, margin, linear, tones, made):
-    """I (1 - c) + L, with the layer interpolated between its cells."""
+    """I (1 - c) + L, with the layer interpolated between the centers of its cells; cells have 1, 2, 4... pixels."""
     height, width, top = image.shape[0], image.shape[1], np.float32(len(tones) - 1)
-    half, one, last = np.float32(0.5), np.float32(1), len(tones) - 1
+    half, step = np.float32(0.5), np.float32(1 / cell)
+    nearest = np.float32(0.5 / cell if cell > 1 else 0.0)  # from a cell's center to the first pixel after it, in cells
     for y in numba.prange(height):
         place = np.float32((y + 0.5) / cell - 0.5) + np.float32(margin)
         row = int(place)
@@ -514,30 +520,26 @@ def _composite(image, layer, cell, margin, linear, tones, made):
             for channel in range(4):
                 upper = layer[row, column, channel]
                 lower = layer[row + 1, column, channel]
-                between[column, channel] = upper + below * (lower - upper)
-        x = 0
-        while x < width:
+                between[column, channel] = top * min(upper + below * (lower - upper), np.float32(1))
+        pixels, target = image[y], made[y]
+        for column in range(margin - 1, layer.shape[1] - margin):
             # Pixels between the centers of two cells.
-            place = np.float32((x + 0.5) / cell - 0.5) + np.float32(margin)
-            column = int(place)
-            right, step = place - np.float32(column), one / np.float32(cell)
-            end = min(x + max(int(np.ceil((one - right) * np.float32(cell) - np.float32(1e-3))), 1), width)
+            first = cell * (column - margin) + cell // 2
+            start, end = max(first, 0), min(first + cell, width)
             a, b = between[column], between[column + 1]
-            if a[3] < np.float32(1e-4) and b[3] < np.float32(1e-4):
-                for i in range(x, end):
+            if max(a[3], b[3]) < np.float32(1e-4) * top:
+                for x in range(start, end):
                     for channel in range(3):
-                        made[y, i, channel] = image[y, i, channel]
-                x = end
+                        target[x, channel] = pixels[x, channel]
                 continue
-            rise = step * (b[3] - a[3])
-            cover = one - (a[3] + right * (b[3] - a[3]))
-            red, more_red = top * (a[0] + right * (b[0] - a[0])) + half, top * step * (b[0] - a[0])
-            green, more_green = top * (a[1] + right * (b[1] - a[1])) + half, top * step * (b[1] - a[1])
-            blue, more_blue = top * (a[2] + right * (b[2] - a[2])) + half, top * step * (b[2] - a[2])
-            for i in range(x, end):
-                k = np.float32(i - x)
-                open_share = top * (cover - k * rise)
-                made[y, i, 0] = tones[min(int(linear[image[y, i, 0]] * open_share + (red + k * more_red)), last)]
-                made[y, i, 1] = tones[min(int(linear[image[y, i, 1]] * open_share + (green + k * more_green)), last)]
-                made[y, i, 2] = tones[min(int(linear[image[y, i, 2]] * open_share + (blue + k * more_blue)), last)]
-            x = end
+            open_share, more = top - a[3], a[3] - b[3]
+            red, green, blue = a[0] + half, a[1] + half, a[2] + half
+            more_red, more_green, more_blue = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+            for x in range(start, end):
+                right = nearest + step * np.float32(x - first)
+                share = open_share + right * more
+                # Never negative, but Numba would look: it takes negative indices for those from the end.
+                i = np.uint32(np.int32(min(linear[pixels[x, 0]] * share + (red + right * more_red), top)))
+                j = np.uint32(np.int32(min(linear[pixels[x, 1]] * share + (green + right * more_green), top)))
+                k = np.uint32(np.int32(min(linear[pixels[x, 2]] * share + (blue + right * more_blue), top)))
+                target[x, 0], target[x, 1], target[x, 2] = tones[i], tones[j], tones[k]

@@ -13,6 +13,7 @@ OUTPUTS = {
     "render": ["street -o OUT.png", "street -o ok.png --json OUT"],
     "info": ["street --json OUT", "street --overlay OUT.png"],
     "edit": ["none -o OUT"],
+    "night": ["none.ply -o OUT", "none.ply -o ok --json OUT"],
     "convert": ["none.ply OUT.ply", "none.ply ok.ply --json OUT"],
     "street": ["OUT", "ok --json OUT"],
     "publish": ["none -o OUT.html", "none -o ok.html --json OUT"],

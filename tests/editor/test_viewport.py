@@ -12,7 +12,7 @@ from gsrain_engine.editor.document import Document, DocumentState
 from gsrain_engine.editor.status import StatusBus
 from gsrain_engine.editor.timeline import Playback
 from gsrain_engine.editor.viewport.camera import OrbitCamera, find_scene_core, home_camera, is_in_view
-from gsrain_engine.editor.viewport.options import LEVELS, AdaptiveQuality
+from gsrain_engine.editor.viewport.options import CUT_LEVELS, FULL_QUALITY, LEVELS, REFINED, AdaptiveQuality
 from gsrain_engine.editor.viewport.picking import pick, pick_point
 from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.rain.settings import RainSettings
@@ -192,15 +192,51 @@ def test_rain_over_what_stands_still_needs_fewer_pixels_but_no_fewer_gaussians()
     assert budget.observe(moving=False, real_s=1.0).is_exact
 
 
-@given(st.floats(0, 2000), st.floats(0, 300), st.floats(10, 100))
-def test_holds_the_target_where_any_level_can(by_gaussians, by_pixels, target):
-    budget = AdaptiveQuality(target_ms=target)
+def test_details_are_merged_where_they_can_be_and_the_settled_level_outlasts_a_pause():
+    budget = AdaptiveQuality(target_ms=33.0, has_cuts=True)
 
     def cost(detail):
-        return 2.0 + by_gaussians * detail.gaussians + by_pixels * detail.scale**2
+        return 400.0 if detail.is_exact else 30.0 + 200.0 * detail.scale**2
+
+    drive(budget, cost, 20)
+    settled = budget.observe(moving=True, real_s=0.03)
+    assert settled.error_px > 0 and settled.gaussians == 1 and "px merged" in str(settled)
+    assert 33 < cost(settled) < 76  # longer than the target, but what it shows is the scene
+    budget.observe(moving=False, real_s=1.0)
+    budget.measured(FULL_QUALITY, 400.0)
+    assert budget.observe(moving=True, real_s=0.03) == settled
+    budget.has_cuts = False  # other Gaussians, whose details have yet to be merged
+    assert budget.observe(moving=True, real_s=0.03).gaussians < 1
+    budget.has_cuts = True
+    assert drive(budget, lambda detail: 5.0 * detail.scale, 60)[-1].is_exact
+
+
+def test_a_pause_refines_the_picture_before_a_full_one_that_takes_long():
+    def paused(full_ms, has_cuts=True):
+        budget = AdaptiveQuality(has_cuts=has_cuts)
+        drive(budget, lambda detail: full_ms if detail.is_exact else 60.0, 4)
+        shown = []
+        for rested_s in (0.1, 0.1, 0.1, 0.1):
+            shown.append(budget.observe(moving=False, real_s=rested_s))
+            budget.measured(shown[-1], full_ms if shown[-1].is_exact else 60.0)
+        return budget, shown
+
+    budget, (moving, *shown) = paused(400.0)
+    assert moving == budget.observe(moving=True, real_s=0.03) and shown == [REFINED, FULL_QUALITY, FULL_QUALITY]
+    assert paused(400.0, has_cuts=False)[1][1:] == [FULL_QUALITY] * 3
+    assert paused(100.0)[1][1:] == [FULL_QUALITY] * 3
+
+
+@given(st.floats(0, 2000), st.floats(0, 300), st.floats(10, 100), st.booleans())
+def test_holds_the_target_where_any_level_can(by_gaussians, by_pixels, target, has_cuts):
+    budget = AdaptiveQuality(target_ms=target, has_cuts=has_cuts)
+
+    def cost(detail):
+        share = detail.gaussians / (1 + detail.error_px)
+        return 2.0 + by_gaussians * share + by_pixels * detail.scale**2
 
     details = drive(budget, cost, 200)
-    fastest = min(cost(level) for level in LEVELS)
-    late = [cost(each) for each in details[8:]]
-    slow = sum(ms > 1.16 * max(target, fastest) for ms in late)
+    fastest = min(cost(level) for level in (CUT_LEVELS if has_cuts else LEVELS))
+    late = [(cost(each), each.patience) for each in details[8:]]
+    slow = sum(ms > 1.16 * max(patience * target, fastest) for ms, patience in late)
     assert slow <= 1 + len(late) // 40  # but for a try of the finer level now and then

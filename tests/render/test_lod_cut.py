@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from gsrain_engine.editor.drawing import live_view
+from gsrain_engine.editor.viewport.options import FULL_QUALITY, QualityLevel
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.render.cpu.renderer import CpuRenderer
@@ -89,13 +90,15 @@ def test_an_export_draws_a_cut_except_with_depth(monkeypatch: pytest.MonkeyPatch
 def test_the_window_draws_a_coarser_cut_of_a_large_scene_in_less_time(
     monkeypatch: pytest.MonkeyPatch, view: live_view.LiveView
 ) -> None:
-    scene = far_scene(monkeypatch)
-    assert view.thinning(1.0, scene) is None and isinstance(view.thinning(0.25, scene), LodSubset)
+    scene, quarter = far_scene(monkeypatch), QualityLevel(0.25, 1.0)
+    assert view.thinning(FULL_QUALITY, scene) is None and isinstance(view.thinning(quarter, scene), LodSubset)
     monkeypatch.setattr(live_view, "MIN_GAUSSIANS", 100)
-    rest, quick = view.thinning(1.0, scene), view.thinning(0.25, scene)
+    rest, quick = view.thinning(FULL_QUALITY, scene), view.thinning(quarter, scene)
     assert rest == LodCut() and isinstance(quick, LodCut)
     assert quick.pixel == 2 * LodCut().pixel and quick.others == LodSubset(0.25)
-    assert view.thinning(1.0, scene, exact=True) is None and view.thinning(1.0, scene, "depth") is None
-    assert view.thinning(1.0, small_scene()) is None  # without trees
+    assert (
+        view.thinning(FULL_QUALITY, scene, exact=True) is None and view.thinning(FULL_QUALITY, scene, "depth") is None
+    )
+    assert view.thinning(FULL_QUALITY, small_scene()) is None  # without trees
     uploads = list(live_view.uploads_of(scene.members))
     assert len(uploads) == 6 and uploads[1][0] is scene.layers[0].tree.nodes

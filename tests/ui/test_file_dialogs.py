@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 
 import pytest
+from imgui_bundle import icons_fontawesome_6
 from msgspec.structs import replace
 
 from ui.widgets.file_dialogs import (
@@ -83,6 +84,10 @@ def test_files_are_chosen_by_keys_and_mouse(driver, folder):
         for _ in range(3):
             driver.press(imgui.Key.down_arrow)
         driver.press(imgui.Key.enter)
+        assert answers == [folder / "apple.ply"]
+        # A double click on a row, with its icon
+        answers = opened(driver, folder)
+        driver.double_click(f"//Choose/**/{icons_fontawesome_6.ICON_FA_FILE} apple.ply##2")
         assert answers == [folder / "apple.ply"]
         # A folder is entered, and the folder above by Alt+Up
         answers = opened(driver, folder)

@@ -1,8 +1,10 @@
 """Journeys through the window, each in the number of actions that it states, on small and large screens of two scales.
 
-An action is a click, a double click, a drag, a key with those held meanwhile, or a typed value with Enter.
+An action is a click, a double click, a drag, a key with those held meanwhile, or a typed value with Enter. By default
+they are played on the smallest screen and on the one with the most pixels; on all four with GSRAIN_JOURNEYS=all.
 """
 
+import os
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -28,6 +30,8 @@ SCREENS = {
 }  # fmt: skip
 """Size of the window in units of the interface, and pixels per unit."""
 
+PLAYED_ON = list(SCREENS) if os.environ.get("GSRAIN_JOURNEYS") == "all" else ["800x560", "2560x1440 at DPI 2"]
+
 
 @dataclass(frozen=True)
 class Journey:
@@ -38,19 +42,17 @@ class Journey:
     actions: int
     folded_actions: int
     """With the panels folded to a strip, as in a small window."""
-    on_all_screens: bool
-    """True if it is played on more than the smallest screen."""
 
 
 JOURNEYS: list[Journey] = []
 
 
-def journey(actions: int, *, folded: int | None = None, on_all_screens: bool = True):
+def journey(actions: int, *, folded: int | None = None):
     """Add a journey with the number of its actions."""
 
     def add(play: Callable[[Driver], None]) -> Callable[[Driver], None]:
         name = play.__name__.replace("_", " ")
-        JOURNEYS.append(Journey(name, play, actions, actions if folded is None else folded, on_all_screens))
+        JOURNEYS.append(Journey(name, play, actions, actions if folded is None else folded))
         return play
 
     return add
@@ -135,7 +137,7 @@ def five_mm_h_by_the_panel(driver):
     assert rain_mm_h(driver) == 5
 
 
-@journey(2, on_all_screens=False)
+@journey(2)
 def five_mm_h_by_the_menu(driver):
     driver.menu("Rain/Moderate 5 mm\\/h")
     assert rain_mm_h(driver) == 5
@@ -156,7 +158,7 @@ def forty_mm_h_typed(driver):
     assert rain_mm_h(driver) == 40
 
 
-@journey(2, on_all_screens=False)
+@journey(2)
 def a_shower_added(driver):
     driver.menu("Rain/Add passing shower")
     assert driver.editor.document.keyframes.is_keyed("intensity_mm_h")
@@ -171,7 +173,7 @@ def a_calibration_fitted(driver):
     assert lab.error is None and lab.fitted.records_used > 10
 
 
-@journey(2, on_all_screens=False)
+@journey(2)
 def rain_measured_by_a_disdrometer(driver):
     lab = driver.editor.calibration
     driver.editor.document.change_rain("Intensity", intensity_mm_h=8.5)
@@ -183,7 +185,7 @@ def rain_measured_by_a_disdrometer(driver):
 # Select, change, undo
 
 
-@journey(4, on_all_screens=False)
+@journey(4)
 def a_brushed_part_deleted_and_undone(driver):
     document = driver.editor.document
     before = document.scene.gaussian_count
@@ -196,7 +198,7 @@ def a_brushed_part_deleted_and_undone(driver):
     assert document.scene.gaussian_count == before
 
 
-@journey(3, on_all_screens=False)
+@journey(3)
 def a_part_moved_to_a_layer_of_its_own(driver):
     scene = driver.editor.document.scene
     key(driver, KEY.b)
@@ -206,7 +208,7 @@ def a_part_moved_to_a_layer_of_its_own(driver):
     assert len(now.layers) == len(scene.layers) + 1 and now.gaussian_count == scene.gaussian_count
 
 
-@journey(3, folded=5, on_all_screens=False)
+@journey(3, folded=5)
 def a_layer_moved(driver):
     document, folded = driver.editor.document, driver.window.workspace.folded
     driver.tap(f"{driver.panel('Layers')}members/###layers wall")
@@ -220,13 +222,13 @@ def a_layer_moved(driver):
     assert document.history.undo_label == "Move wall" and document.scene.member("layers/wall").to_scene[2, 3] > 1
 
 
-@journey(1, folded=2, on_all_screens=False)
+@journey(1, folded=2)
 def a_layer_hidden(driver):
     driver.tap(f"{driver.panel('Layers')}members/###show layers wall")
     assert not driver.editor.document.scene.member("layers/wall").visible
 
 
-@journey(5, on_all_screens=False)
+@journey(5)
 def a_known_length_sets_the_scale(driver):
     editor, here = driver.editor, driver.editor.viewport.navigation.position.copy()
     key(driver, KEY.m)
@@ -240,7 +242,7 @@ def a_known_length_sets_the_scale(driver):
     assert editor.viewport.navigation.position == pytest.approx(scale * here)  # the view stays
 
 
-@journey(2, on_all_screens=False)
+@journey(2)
 def an_earlier_step_gone_to(driver):
     for rate in (1.2, 8.5, 12.0):
         driver.editor.document.change_rain(f"Preset {rate}", intensity_mm_h=rate)
@@ -251,7 +253,7 @@ def an_earlier_step_gone_to(driver):
 # Look
 
 
-@journey(3, on_all_screens=False)
+@journey(3)
 def clear_and_rainy_compared(driver):
     options = driver.editor.viewport.options
     driver.editor.document.change_rain("Intensity", intensity_mm_h=8.5)
@@ -260,7 +262,7 @@ def clear_and_rainy_compared(driver):
     assert options.split == "clear | rainy" and options.divider < 0.49
 
 
-@journey(4, folded=5, on_all_screens=False)
+@journey(4, folded=5)
 def a_flight_of_ten_seconds(driver):
     editor = driver.editor
     key(driver, KEY.k)
@@ -271,20 +273,20 @@ def a_flight_of_ten_seconds(driver):
     assert editor.render_queue.extent().length_s == pytest.approx(10, abs=0.05)
 
 
-@journey(3, folded=3, on_all_screens=False)
+@journey(3, folded=3)
 def the_light_theme(driver):
     driver.choose(f"{driver.panel('Display')}##theme", "light")
     assert driver.editor.preferences.value.theme == "light"
 
 
-@journey(2, on_all_screens=False)
+@journey(2)
 def a_time_gone_to(driver):
     key(driver, CTRL, KEY.g)
     driver.enter("2.5")
     assert driver.editor.playback.clock.time_s == 2.5
 
 
-@journey(2, on_all_screens=False)
+@journey(2)
 def a_panel_found_by_the_palette(driver):
     key(driver, CTRL, KEY.p)
     driver.enter("panel: jobs")
@@ -313,11 +315,6 @@ def begin(driver):
     driver.frames(3)
 
 
-def journeys_on(screen: str) -> list[Journey]:
-    """The journeys that are played on a screen."""
-    return [each for each in JOURNEYS if each.on_all_screens or screen == "800x560"]
-
-
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
     """Folder with a scene folder, a file of Gaussians and a disdrometer file."""
@@ -342,7 +339,7 @@ def played(request, files, tmp_path_factory):
 
     def script():
         is_folded = bool(driver.window.workspace.folded.hidden)
-        for each in (journeys := journeys_on(request.param)):
+        for number, each in enumerate(JOURNEYS):
             try:
                 begin(driver)
                 with driver.journey(each.folded_actions if is_folded else each.actions):
@@ -350,7 +347,7 @@ def played(request, files, tmp_path_factory):
             except Exception as error:  # each is raised in the test of its journey
                 errors[each.name] = error
             if driver.ctx.is_error():  # an item was not there: see the engine's log, which plays no more
-                for after in journeys[journeys.index(each) :]:
+                for after in JOURNEYS[number:]:
                     errors.setdefault(after.name, AssertionError(f"the test engine gave up in {each.name!r}"))
                 return
 
@@ -364,7 +361,7 @@ def played(request, files, tmp_path_factory):
     return errors
 
 
-PLAYED = [(screen, each.name) for screen in SCREENS for each in journeys_on(screen)]
+PLAYED = [(screen, each.name) for screen in PLAYED_ON for each in JOURNEYS]
 
 
 @pytest.mark.parametrize(("played", "name"), PLAYED, indirect=["played"], scope="module")

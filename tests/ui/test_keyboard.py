@@ -82,7 +82,7 @@ def test_menus_and_lists_are_used_by_the_keyboard(driver):
         view_menu = np.array([352, 11])
         driver.click_at(view_menu)
         was_on = options.show_selection
-        for key in (KEY.s, KEY.h, KEY.o):
+        for key in (KEY.h, KEY.i):
             driver.press(key)
         driver.press(KEY.enter)
         driver.frames(3)
@@ -91,5 +91,20 @@ def test_menus_and_lists_are_used_by_the_keyboard(driver):
         driver.press(KEY.k)  # alone, it inserts a keyframe
         driver.press(KEY.escape)
         assert document.scene.path is None
+
+    driver.run(script)
+
+
+def test_alt_and_a_letter_opens_a_menu(driver):
+    def script():
+        for chord, command in ((KEY.f10, "Open..."), (int(KEY.mod_alt) | int(KEY.v), "Frame the scene")):
+            driver.press(chord)
+            driver.frames(3)
+            assert driver.ctx.item_exists(f"//$FOCUSED/{command}")
+            before = driver.editor.playback.clock.time_s
+            for key in (KEY.down_arrow, KEY.right_arrow, KEY.escape, KEY.escape):
+                driver.press(key)
+            assert driver.editor.playback.clock.time_s == before  # the arrows move in the menu
+            assert not driver.ctx.item_exists(f"//$FOCUSED/{command}")
 
     driver.run(script)

@@ -15,8 +15,14 @@ def test_in_a_small_window_panels_fold_to_names_and_one_opens_over_the_view(driv
     def is_docked():
         return driver.ctx.window_info("//Rain", imgui.test_engine.TestOpFlags_.no_error).window is not None
 
+    def sizes():
+        style = imgui.get_style()
+        names = ("docking_separator_size", "indent_spacing", "window_min_size", "cell_padding", "scrollbar_size")
+        return [str(getattr(style, name)) for name in names]
+
     def script():
         folded, editor = driver.window.workspace.folded, driver.editor
+        before = sizes()
         names = ["Layers", "Rain", "Wet look###Make it rainy", "Timeline", "Log"]
         assert [each for each in folded.hidden if each in names] == names and folded.open == ""
         _, size = driver.area()
@@ -43,9 +49,12 @@ def test_in_a_small_window_panels_fold_to_names_and_one_opens_over_the_view(driv
         editor.preferences.value = replace(editor.preferences.value, font_scale=0.6)
         driver.frames(4)
         assert (folded.hidden, folded.width, is_docked()) == ([], 0.0, True)
+        driver.frames(8)
+        assert {"Layers", "Rain", "Timeline"} <= set(editor.preferences.value.front_panels)
         editor.preferences.value = replace(editor.preferences.value, font_scale=1.0)
         driver.frames(4)
         assert folded.open == "" and [each for each in folded.hidden if each in names] == names
+        assert sizes() == before  # however often preferences change
         padding = imgui.get_style().frame_padding.x
         assert padding == pytest.approx(7 * dpi_scale, abs=1)  # sizes keep to the screen's scale
         folded.unfold()

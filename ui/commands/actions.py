@@ -67,7 +67,8 @@ def _scene_kinds() -> str:
 def delete_selection(document: Document, playback: Playback, rain_tracks: RainTracks) -> None:
     is_of_key = playback.timeline.key is not None or rain_tracks.active is not None
     if not playback.timeline.takes_keys or not is_of_key:  # else Delete is for the active keyframe
-        document.edit("Delete the selection", gaussians.delete_selected)
+        count = gaussians.selected_count(document.scene)
+        document.edit(f"Delete {count:,} selected", gaussians.delete_selected)
 
 
 def duplicate_member(document: Document, viewport: ViewportState) -> None:

@@ -68,7 +68,7 @@ def _selection(document: Document) -> None:
     has_hidden = any(each.marks.hidden for each in scene.members)
     imgui.separator_text(f"{count:,} selected" if count else "Nothing selected")
     if button("Delete", "Delete the selection (Delete); undo restores it.", width=half, enabled=count > 0):
-        document.edit("Delete the selection", gaussians.delete_selected)
+        document.edit(f"Delete {count:,} selected", gaussians.delete_selected)
     imgui.same_line()
     if button("Hide", "Do not draw the selection (H).", width=half, enabled=count > 0):
         document.edit("Hide the selection", gaussians.hide_selected)

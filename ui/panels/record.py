@@ -65,19 +65,6 @@ def record_panel(
     document: Document, files: Files, playback: Playback, rollouts: RolloutPlayer, render_queue: RenderQueue,
     status: StatusBus,
 ) -> None:  # fmt: skip
-    _preset(render_queue)
-    _format(render_queue)
-    _cameras(document, render_queue)
-    _size(render_queue)
-    _projection(render_queue)
-    _times(render_queue, playback)
-    imgui.separator_text("Samples")
-    _count(render_queue, "supersampling", 4, "{0} x {0} per pixel", CLAMPED)
-    _count(render_queue, "motion_blur", 64, "{0} sub-frames", LOGARITHMIC)
-    imgui.separator_text("Passes")
-    _passes(render_queue)
-    _preview(render_queue)
-    imgui.separator()
     if rollouts.playing is not None:
         warn("A recording shows the scene with its own traffic, not the playing roll-out.")
         why_not = rollouts.why_no_video
@@ -91,6 +78,20 @@ def record_panel(
     help_text = "Render the present view at the present time, in this size and with these samples (Ctrl+Shift+R)."
     if button("Render image...", help_text, width=half):
         ask_where_to_render_image(render_queue)
+    imgui.separator()
+    _preset(render_queue)
+    _format(render_queue)
+    _cameras(document, render_queue)
+    _size(render_queue)
+    _projection(render_queue)
+    _times(render_queue, playback)
+    imgui.separator_text("Samples")
+    _count(render_queue, "supersampling", 4, "{0} x {0} per pixel", CLAMPED)
+    _count(render_queue, "motion_blur", 64, "{0} sub-frames", LOGARITHMIC)
+    imgui.separator_text("Passes")
+    _passes(render_queue)
+    _preview(render_queue)
+    imgui.separator()
     help_text = "Draw the present view in five intensities below each other, with what can be seen of each in numbers."
     if button("Intensity sheet...", help_text, width=-1):
         ask_where_to_draw_sheet(render_queue)
@@ -132,7 +133,7 @@ def _extent(render_queue: RenderQueue) -> bool:
         return True
     imgui.set_item_tooltip("From the viewport's last image (min:s), without encoding, and while nothing else runs.")
     help_text = "Draw and write a few frames in the background, and estimate the time from them."
-    if extent.frames > 1 and button("Time a few frames", help_text, width=-1, enabled=not render_queue.is_timing):
+    if extent.frames > 1 and button("Estimate the time", help_text, width=-1, enabled=not render_queue.is_timing):
         render_queue.time_frames()
     return True
 

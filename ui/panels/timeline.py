@@ -31,6 +31,7 @@ from ..widgets.fields import (
 )
 from ..widgets.file_dialogs import ask_what_to_open, ask_where_to_save
 from ..widgets.text import label
+from .record import ask_where_to_record
 from .timeline_tracks import KEY_RADIUS, draw_key, easing_items, key_handle, track_menu, track_row
 
 _FA = icons_fontawesome_6
@@ -127,7 +128,7 @@ def _transport(editor: Editor) -> None:
     _keyframe_buttons(editor.camera_path)
     imgui.same_line(spacing=_GAP)
     help_text = "Follow path: look through the path camera (V)."
-    if button(f"{_FA.ICON_FA_VIDEO}###ride", help_text, is_on=view.follow_path):
+    if button(f"{_FA.ICON_FA_EYE}###ride", help_text, is_on=view.follow_path):
         editor.viewport.ride(not view.follow_path)
     imgui.same_line()
     help_text = "Show path: draw path and keyframes in the viewport."
@@ -135,6 +136,10 @@ def _transport(editor: Editor) -> None:
         timeline.show_path = not timeline.show_path
     imgui.same_line()
     _path_menu(editor.document, playback, editor.camera_path)
+    imgui.same_line(spacing=_GAP)
+    help_text = "Choose a place, then record the timeline (Ctrl+R); the Record panel has format and size."
+    if button(f"{_FA.ICON_FA_VIDEO} Record...###record", help_text):
+        ask_where_to_record(editor.render_queue)
 
 
 def _time(playback: Playback, end: float) -> None:

@@ -44,7 +44,7 @@ def draw_start_card(editor: Editor, corner: ImVec2, width: int, height: int) -> 
         if recent:
             imgui.separator_text("Recent")
         for path in recent:
-            name = label(f"{icons.ICON_FA_CLOCK_ROTATE_LEFT}  {path.name}", str(path))
+            name = f"{icons.ICON_FA_CLOCK_ROTATE_LEFT}  {label(path.name, str(path))}"
             if imgui.button(name, ImVec2(-1, 0)):
                 editor.files.open(str(path))
             imgui.set_item_tooltip(str(path))
@@ -59,12 +59,12 @@ _MARGIN = 10.0
 
 def draw_hint(editor: Editor, corner: ImVec2, height: int) -> None:
     """Draw the three steps in the lower left corner; done ones have a check mark, and the last one ends the hint."""
-    document, jobs, preferences = editor.document, editor.jobs, editor.preferences
+    document, files, jobs, preferences = editor.document, editor.files, editor.jobs, editor.preferences
     has_recorded = any(each.kind == "export" for each in jobs.all)
     steps = (
-        ("Open a scene", "Open...", editor.files.source not in (None, "street")),
-        ("Let it rain", "Moderate 5 mm/h", document.rain_now.intensity_mm_h > 0),
-        ("Record a video", "Record the timeline...", has_recorded),
+        ("Open a scene", "Open...", "Choose a file or folder of Gaussians.", files.source not in (None, "street")),
+        ("Let it rain", "Moderate 5 mm/h", "Set 5 mm/h.", document.rain_now.intensity_mm_h > 0),
+        ("Record a video", "Record the timeline...", "Choose a place for the video.", has_recorded),
     )
     if all(is_done for *_, is_done in steps):
         preferences.set(hint=False)
@@ -78,11 +78,11 @@ def draw_hint(editor: Editor, corner: ImVec2, height: int) -> None:
         if imgui.small_button("x###end hint"):
             preferences.set(hint=False)
         imgui.set_item_tooltip("Don't show this any more.")
-        for number, (title, name, is_done) in enumerate(steps, start=1):
+        for number, (title, name, help_text, is_done) in enumerate(steps, start=1):
             mark = icons.ICON_FA_CHECK if is_done else str(number)
             command = next(each for each in COMMANDS if each.name == name)
             keys = f" ({command.key_names})" if command.key_names else ""
-            if button(f"{mark}  {title}###step {number}", command.help + keys, width=-1):
+            if button(f"{mark}  {title}###step {number}", help_text + keys, width=-1):
                 command.perform(editor)
 
 

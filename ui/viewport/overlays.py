@@ -426,8 +426,13 @@ _GRIP_PX = 6.0  # half its width
 _LABEL_PX = 8.0  # margin of the labels
 
 
-def draw_divider(viewport: ViewportState, labels: tuple[str, str], corner: ImVec2, width: int, height: int) -> None:
-    """Draw the draggable divider with the labels of both images; a double click centers it."""
+def draw_divider(
+    viewport: ViewportState, labels: tuple[str, str], corner: ImVec2, width: int, height: int, below: float
+) -> None:
+    """Draw the draggable divider with the labels of both images, which begin `below` pixels from the top.
+
+    A double click centers it.
+    """
     view = viewport.options
     x = corner.x + view.divider * width
     imgui.set_cursor_screen_pos(ImVec2(x - _GRIP_PX, corner.y))
@@ -447,7 +452,7 @@ def draw_divider(viewport: ViewportState, labels: tuple[str, str], corner: ImVec
     left = x - imgui.calc_text_size(labels[0]).x - 2 * _LABEL_PX
     for label, at in zip(labels, (left, x + 2 * _LABEL_PX), strict=True):
         paper = (0.0, 0.0, 0.0, 0.55)
-        draw_card(label, ImVec2(at, corner.y + _LABEL_PX), paper=paper, padding=(5, 2), rounding=3.0)
+        draw_card(label, ImVec2(at, corner.y + below + _LABEL_PX), paper=paper, padding=(5, 2), rounding=3.0)
     draw.pop_clip_rect()
 
 

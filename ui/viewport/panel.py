@@ -20,6 +20,7 @@ from ..tools import TOOLS
 from ..tools.base import Tool
 from ..widgets.draw import Canvas, draw_lines, draw_point
 from ..widgets.fields import button
+from ..widgets.type_ahead import has_keys
 from .first_run import draw_hint, draw_setup_bar, draw_start_card, draw_update
 from .notices import card, draw_notices
 from .overlays import OVERLAYS, draw_divider, preview_side
@@ -44,7 +45,8 @@ def viewport_panel(editor: Editor, tools: Sequence[Tool], picture: DrawResult, f
     if len(textures) == 2 and picture.frame is not None:
         labels = picture.frame.panes[0].label, picture.frame.panes[1].label
     if labels is not None:
-        draw_divider(editor.viewport, labels, corner, width, height)
+        below = 1.7 * imgui.get_frame_height() if editor.viewport.options.tool else 0.0  # the bar of a tool
+        draw_divider(editor.viewport, labels, corner, width, height, below)
     imgui.set_cursor_screen_pos(corner)
     imgui.set_next_item_allow_overlap()
     flags = imgui.ButtonFlags_.mouse_button_left | imgui.ButtonFlags_.mouse_button_right
@@ -115,7 +117,7 @@ def _navigate_by_mouse(viewport: ViewportState, canvas: Canvas, uses_left: bool)
 def _navigate_by_keys(viewport: ViewportState) -> None:
     io, navigation = imgui.get_io(), viewport.navigation
     is_here = imgui.is_window_hovered(imgui.HoveredFlags_.root_and_child_windows)
-    listens = is_here and not (io.want_text_input or io.key_ctrl)
+    listens = is_here and not (io.want_text_input or io.key_ctrl or io.key_alt or has_keys())
     pressed = [direction for key, direction in _KEYS.items() if listens and imgui.is_key_down(key)]
     if not pressed:
         navigation.stop()

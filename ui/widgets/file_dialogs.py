@@ -381,7 +381,9 @@ class FileBrowser:
         if self._used:
             imgui.separator_text("Recent")
         for n, folder in enumerate(self._used):
-            if imgui.selectable(label(f"{icon} {folder.name or folder}", str(n)), folder == self._listing.folder)[0]:
+            if imgui.selectable(f"{icon} {label(folder.name or str(folder), str(n))}", folder == self._listing.folder)[
+                0
+            ]:
                 self._enter(folder)
             imgui.set_item_tooltip(str(folder))
         imgui.separator()
@@ -429,7 +431,7 @@ class FileBrowser:
         flags = imgui.SelectableFlags_.span_all_columns | imgui.SelectableFlags_.allow_double_click
         flags |= imgui.SelectableFlags_.no_auto_close_popups
         clicked, _ = imgui.selectable(
-            label(f"{icon} {entry.name}", str(n)), entry.name in self._chosen or n == self._line, flags
+            f"{icon} {label(entry.name, str(n))}", entry.name in self._chosen or n == self._line, flags
         )
         answer = None
         if clicked:

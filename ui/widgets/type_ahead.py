@@ -19,6 +19,7 @@ class _Typed:
     def __init__(self) -> None:
         self.text = ""
         self.is_new = False
+        self.open_frame = -2
         self._frame, self._typed_s = -1, 0.0
 
     def update(self) -> None:
@@ -42,7 +43,15 @@ _typed = _Typed()
 def is_menu_open() -> bool:
     """Return whether a menu, a list or another popup is open, and no dialog, which has keys of its own."""
     is_open = imgui.is_popup_open("", imgui.PopupFlags_.any_popup)
-    return is_open and imgui.internal.get_top_most_popup_modal() is None
+    is_open = is_open and imgui.internal.get_top_most_popup_modal() is None
+    if is_open:
+        _typed.open_frame = imgui.get_frame_count()
+    return is_open
+
+
+def has_keys() -> bool:
+    """Return whether a menu or list is open, or was in the last frame: a key closed it, or goes to the next menu."""
+    return is_menu_open() or imgui.get_frame_count() - _typed.open_frame <= 1
 
 
 def install_type_ahead() -> None:

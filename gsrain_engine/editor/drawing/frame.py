@@ -95,6 +95,8 @@ class DrawResult:
     """True while kernels are compiled for the renderer of the next pictures, and OpenGL draws without rain."""
     is_settled: bool = False
     """True if no other back end takes over from the active one."""
+    has_cuts: bool = False
+    """True if pictures in motion can merge details instead of leaving Gaussians out."""
     is_catching_up: bool = False
     """True if the next frames continue unfinished work although nothing moves."""
     sky: SkyColor | None = None

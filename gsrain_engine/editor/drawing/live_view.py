@@ -31,11 +31,12 @@ from ...scene.lod_tree import MIN_GAUSSIANS, PIXEL, merged_harmonics
 from ...scene.scene import Actor, Layer, RigCamera, Scene
 from ...threads import half_of_cores
 from ...water.refraction import GlassView
-from ..viewport.options import Texture
+from ..viewport.options import FULL_QUALITY, QualityLevel, Texture
 from ..viewport.picking import mean_color_in_rectangle
 from ..viewport_state import PendingScene
 from .frame import DrawnImage, DrawResult, MosaicInput, MosaicResult, RenderInput, SplitPane
 from .live_glass import LiveGlass, has_glass
+from .live_trees import LiveCut, LiveTrees
 from .textures import CpuTexture
 
 logger = logging.getLogger("gsrain")
@@ -44,7 +45,11 @@ _STAND_IN_GAUSSIANS = 1_000_000  # larger scenes wait for the CPU kernels: softw
 _LOADING_S = 10.0  # time to load cached kernels on a busy machine; after it, they are assumed to need compiling
 _UPLOAD_S = 0.01  # time per frame for uploading slices of a scene
 _MIRROR_EVERY = 3  # pictures of reduced quality that share a mirror image
-_ASIDE = 1 / 8  # share of the Gaussians in small images next to the viewport, during playback
+_FEWER = 1 / 8  # share of the Gaussians of parts without a tree, in pictures that merge details
+_FEWER_ASIDE = QualityLevel(1 / 8, 1.0)  # of small images next to the viewport, during playback
+_MERGED_ASIDE = QualityLevel(1.0, 1.0, error_px=1.0)  # the same, where details can be merged
+SHARPNESS = 0.75
+"""Of pictures with fewer pixels, which are enlarged: pictures of the street are nearest to exact ones then."""
 _ASIDE_TIME = 1 / 10  # share of the time that these images take, during playback
 _CHUNK_SIZE = 1 << 16  # number of new Gaussians that a frame uploads directly; for more, the last scene stays visible
 
@@ -97,6 +102,8 @@ class LiveView:
         self._upload_until = 0.0
         self._thinnings: dict[float, LodSubset] = {}
         self._thinned: Scene | None = None
+        self.trees = LiveTrees()
+        """Trees of the scenes on the screen, for pictures by the processor."""
 
     def draw(self, frame: RenderInput) -> DrawResult:
         """Draw a frame. Returns the last textures if nothing has changed.
@@ -134,6 +141,8 @@ class LiveView:
             if pane.scene is not None:
                 pane.state, pane.scene, pane.still = None, None, StillScene()
         self._release_closed_scene(frame)
+        scenes = (frame.scene, *(side.scene for side in frame.panes)) if self._on_cpu else ()
+        self.trees.follow(scenes)
         result = DrawResult(frame, is_compiling=not self._can_draw, is_pending_ready=self._is_pending_ready)
         result.is_preparing = self._compiles and not self.is_settled
         if self._can_draw:
@@ -154,6 +163,7 @@ class LiveView:
         samples = frame.samples_sky and not result.sky_is_exact and not self._sky.is_through
         result.is_catching_up = self._is_uploading or (samples and self._can_draw)
         result.textures, result.is_settled = self.last_textures, self.is_settled
+        result.has_cuts = self._on_cpu and frame.mode == "splats" and self.trees.cover(scenes)
         return result
 
     @property
@@ -177,13 +187,16 @@ class LiveView:
         """Draw a small image next to the viewport after `draw`, or None; in playback with fewer Gaussians, mirrors."""
         if not self._can_draw or (not self._on_cpu and self._upload.missing(images.scene) > _CHUNK_SIZE):
             return None
-        share = min(images.quality.gaussians, _ASIDE) if images.is_playing else 1.0
-        thinning = self.thinning(share, images.scene)
+        quality = FULL_QUALITY
+        if images.is_playing:
+            quality = _MERGED_ASIDE if self._on_cpu and self.trees.cover([images.scene]) else _FEWER_ASIDE
+        thinning = self.thinning(quality, images.scene)
         name, view, turn = f"rig/{camera.name}", images.view_of(camera), camera.camera_to_ego[:3, :3]
         glass = self._glass.before(self._renderer, images.scene, images.rainfall, images.sky, view, name, turn)
         with half_of_cores() if images.is_playing else nullcontext():
             draw_view(
                 self._renderer, images.scene, images.rainfall, images.sky, view, thinning=thinning,
+                reflected=thinning.reflected if isinstance(thinning, LiveCut) else None,
                 reuse=reuse if images.is_playing else None,
             )  # fmt: skip
         return screen.show(self._picture(glass, name, images.background), images.background, 2.0**images.gain_ev)
@@ -239,7 +252,7 @@ class LiveView:
         """Draw a pane unless it is up to date; return whether it was drawn."""
         scene = self._drawable(side.scene, pane, whole=frame.screenshot is not None)
         quality = frame.quality
-        state = (_fingerprint(frame, scene, side.rainfall, sky), quality.gaussians, quality.has_backdrop, self._on_cpu)
+        state = (_fingerprint(frame, scene, side.rainfall, sky), quality, self._on_cpu)
         if state == pane.state or not self._can_draw:
             return False
         if pane.scene is not scene:
@@ -247,18 +260,20 @@ class LiveView:
         # Without a scene, rain has nothing to fall on; while its kernels compile, it would wait for them.
         rainfall = side.rainfall if scene.members and (self._on_cpu or not self._compiles) else None
         selection = frame.selection and frame.screenshot is None
-        thinning = self.thinning(frame.quality.gaussians, scene, frame.mode, exact=frame.screenshot is not None)
+        thinning = self.thinning(quality, scene, frame.mode, exact=frame.screenshot is not None)
         glass, name = None, f"pane/{self._panes.index(pane)}"
         if rainfall is not None and has_glass(rainfall, frame.mode):
             glass = self._glass.before(self._renderer, scene, rainfall, sky, frame.view, name)
-        with self._interruptible(), nullcontext() if quality.is_exact else half_of_cores():
+        is_alone = quality.is_exact or not (frame.is_moving or frame.is_playing)
+        with self._interruptible(), nullcontext() if is_alone else half_of_cores():
             draw_view(
                 self._renderer, scene, rainfall, sky, frame.view, look=frame.mode, thinning=thinning,
-                selection=selection, reuse=None if quality.is_exact else pane.reuse,
-                still=pane.still if quality.has_backdrop else None,
+                reflected=thinning.reflected if isinstance(thinning, LiveCut) else None, selection=selection,
+                reuse=None if quality.is_exact else pane.reuse, still=pane.still if quality.has_backdrop else None,
             )  # fmt: skip
         picture = self._picture(glass, name, frame.background)
-        pane.texture = pane.screen.show(picture, frame.background, 2.0**frame.gain_ev)
+        sharpness = SHARPNESS if quality.scale < 1 else 0.0
+        pane.texture = pane.screen.show(picture, frame.background, 2.0**frame.gain_ev, sharpness)
         pane.state, pane.scene = state, scene
         return True
 
@@ -287,10 +302,14 @@ class LiveView:
         return pane.scene
 
     def thinning(
-        self, share: float, scene: Scene, mode: RenderMode = "splats", *, exact: bool = False
+        self, quality: QualityLevel, scene: Scene, mode: RenderMode = "splats", *, exact: bool = False
     ) -> Thinning | None:
         """Choose the drawn Gaussians: of a large scene a cut, whose number falls with the square of its error."""
+        merges = quality.error_px > 0
+        share = _FEWER if merges else quality.gaussians
         subset = None if share == 1 else self._thinnings.setdefault(share, LodSubset(share))
+        if merges and subset is not None and mode == "splats":
+            return LiveCut(quality.error_px, self.trees, subset)
         is_large = mode == "splats" and not exact and scene.gaussian_count >= MIN_GAUSSIANS
         if is_large and any(each.tree is not None for each in scene.members):
             return LodCut(PIXEL / math.sqrt(share), subset)
@@ -313,6 +332,8 @@ class LiveView:
             "drops drawn": statistics.drops_drawn,
             "haze Gaussians": statistics.haze_drawn,
         }
+        if self.trees.nbytes:
+            figures["merged details MB"] = 1e-6 * self.trees.nbytes
         if statistics.pairs_left_out:
             figures["tile pairs without room"] = statistics.pairs_left_out
         name = self._renderer.name if self._on_cpu else f"opengl-{self._opengl.rasterizer}"

@@ -19,8 +19,10 @@ from ...scene.camera import Camera
 from ...scene.lod_tree import MIN_GAUSSIANS, PIXEL
 from ...scene.scene import Scene
 from ..viewport.options import AdaptiveQuality, QualityLevel
+from .live_trees import LiveCut, LiveTrees
 
 _MIRROR_EVERY = 3  # pictures of reduced quality that share a mirror image
+_FEWER = 1 / 8  # share of the Gaussians of parts without a tree, in pictures that merge details
 _TARGET_MS = 100.0  # of a picture while something changes: connections add a delay that hides faster ones
 
 
@@ -76,6 +78,8 @@ class RemotePictures:
         self._skies: dict[bool, SkyColor] = {}
         self._subsets: dict[float, LodSubset] = {}
         self._optics = CameraOptics()
+        self.trees = LiveTrees()
+        """Trees of the scene, for pictures by the processor."""
 
     def change(self, scene: Scene, rain: RainSettings) -> None:
         """Show another scene or rain from now on.
@@ -110,9 +114,13 @@ class RemotePictures:
         optics = self._optics.of(self._renderer, scene, rainfall, sky, view, camera=name)
         if isinstance(self._renderer, CpuRenderer):
             self._renderer.checkpoint = checkpoint
+            self.trees.follow([scene], at_once=True)
+            viewer.budget.has_cuts = self.trees.cover([scene])
+        thinning = self._thinning(quality)
         try:
             draw_view(
-                self._renderer, scene, rainfall, sky, view, thinning=self._thinning(quality.gaussians),
+                self._renderer, scene, rainfall, sky, view, thinning=thinning,
+                reflected=thinning.reflected if isinstance(thinning, LiveCut) else None,
                 reuse=None if quality.is_exact else viewer.reuse,
             )  # fmt: skip
             return read_picture(self._renderer, optics)
@@ -128,9 +136,12 @@ class RemotePictures:
             self._skies[dry] = sky_color(self._renderer, self._scene, self._place, dry=dry)
         return self._skies[dry]
 
-    def _thinning(self, share: float) -> Thinning | None:
+    def _thinning(self, quality: QualityLevel) -> Thinning | None:
         """Choose the drawn Gaussians: of a large scene a cut, whose number falls with the square of its error."""
+        share = _FEWER if quality.error_px > 0 else quality.gaussians
         subset = None if share == 1 else self._subsets.setdefault(share, LodSubset(share))
+        if quality.error_px > 0 and subset is not None:
+            return LiveCut(quality.error_px, self.trees, subset)
         if self._scene.gaussian_count >= MIN_GAUSSIANS and any(each.tree is not None for each in self._scene.members):
             return LodCut(PIXEL / math.sqrt(share), subset)
         return subset

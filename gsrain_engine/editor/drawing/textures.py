@@ -28,6 +28,7 @@ from ...scene.gaussians import Gaussians
 from ...scene.ground_water import GroundWater
 from ...scene.lamps import Lamp
 from ...scene.lod_order import sort_into_lod_order
+from ...scene.lod_tree import average_below, build_lod_tree, cut_lod_tree
 from ...scene.scene import DrawItem, Layer, Scene
 from ..capture_view import CaptureController, ImageRequest, PointSample
 from ..jobs.job import Job
@@ -229,7 +230,11 @@ def compile_kernels() -> None:
     renderer, parts = CpuRenderer(), [DrawItem(one, np.eye(4))]
     for degree in (1, 4, 9, 16):
         renderer.draw([DrawItem(one.with_sh(np.zeros((1, degree, 3), np.float32)), np.eye(4))], camera, with_depth=True)
-    renderer.draw([DrawItem(_balls(FEW), np.eye(4))], camera)
+    many = _balls(FEW)
+    renderer.draw([DrawItem(many, np.eye(4))], camera)
+    tree = build_lod_tree(many)
+    average_below(tree, many.sh)
+    cut_lod_tree(tree, camera, np.eye(4))
     view = RainCamera(camera, np.eye(4), np.zeros(3))
     for mixing in ("linear", "display"):
         rain = RainSettings(intensity_mm_h=1.0, rain_light=mixing)

@@ -8,7 +8,7 @@ from jaxtyping import Float64
 from ...scene.camera import Camera, look_at
 from ...scene.camera_path import CameraPath, orbit_path
 from ...scene.rig import rig_camera_path
-from ...scene.scene import RigCamera, Scene, SceneCore, core_bounds
+from ...scene.scene import RigCamera, Scene, SceneCore, ahead_of, core_bounds
 
 _STEEPEST = np.radians(89.0)
 _UP = np.array([0.0, 0.0, 1.0])
@@ -188,14 +188,10 @@ def home_camera(scene: Scene, width: int, height: int) -> Camera:
         camera = rig_camera_path(scene, front, width, height).camera(0.0, width, height)
         if is_in_view(core, camera.position, camera.world_to_camera[2, :3], camera.vertical_fov_deg):
             return camera
-    # Captures look along their +z if up is -y (COLMAP's axes), along +x if up is +z.
-    ahead = scene.scene_to_world[:3, 0 if scene.up == (0.0, 0.0, 1.0) else 2]
-    ahead = ahead - [0, 0, ahead[2]]
-    ahead = ahead / np.linalg.norm(ahead) if np.linalg.norm(ahead) > 1e-6 else np.array([1.0, 0, 0])
     length, width_m, height_m = core.high - core.low
     flat = 1.0 - min(2 * height_m / max(length, width_m, 1e-9), 1.0)
     down = np.radians(_LOOKING_DOWN_DEG + flat * (_LOOKING_DOWN_ON_FLAT_DEG - _LOOKING_DOWN_DEG))
-    sight = np.cos(down) * ahead - np.sin(down) * np.array([0, 0, 1.0])
+    sight = np.cos(down) * ahead_of(scene) - np.sin(down) * np.array([0, 0, 1.0])
     turn = look_at(np.zeros(3), sight, np.array([0.0, 0, 1]))[:3, :3]
     eye = core.middle - sight * min(_fitting_distance(core, turn, width / height), max(core.farthest_m, 1e-3))
     return Camera.from_fov(width, height, _FOV_DEG, look_at(eye, core.middle, np.array([0.0, 0, 1])))

@@ -70,17 +70,27 @@ class QualityLevel(NamedTuple):
     """Ratio of the rendered to the displayed side length."""
     has_backdrop: bool = False
     """True if what stands still is drawn once, for many pictures."""
+    error_px: float = 0.0
+    """Largest details that are merged, in pixels of the rendered image; 0 merges none."""
 
     @property
     def is_exact(self) -> bool:
         return self == FULL_QUALITY
+
+    @property
+    def patience(self) -> float:
+        """Factor on the target frame time: longer where no answer to the mouse waits, or less would hide the scene."""
+        if self.has_backdrop:
+            return 1.5
+        return 2.0 if self.error_px > 0 and self.scale <= 1 / 2 else 1.0
 
     def __str__(self) -> str:
         """Describe the level; empty for full quality."""
         subset = f"1/{round(1 / self.gaussians)} of the Gaussians" if self.gaussians < 1 else ""
         resolution = f"{self.scale:.0%} resolution" if self.scale < 1 else ""
         backdrop = "rain over a still scene" if self.has_backdrop else ""
-        return ", ".join(filter(None, [subset, backdrop, resolution]))
+        merged = f"details under {self.error_px:g} px merged" if self.error_px > 0 else ""
+        return ", ".join(filter(None, [subset, merged, backdrop, resolution]))
 
 
 FULL_QUALITY = QualityLevel(1.0, 1.0)
@@ -91,13 +101,22 @@ LEVELS = (
 """First fewer Gaussians, then fewer pixels."""
 BACKDROP_LEVELS = tuple(QualityLevel(1.0, scale, has_backdrop=True) for scale in (1.0, 5 / 6, 2 / 3, 1 / 2))
 """Fewer pixels; the first picture of a size is as slow as an exact one. Most of the others' time is the rain's own."""
+CUT_LEVELS = (
+    FULL_QUALITY,
+    *(QualityLevel(1.0, scale, error_px=1.0) for scale in (1.0, 5 / 6, 2 / 3)),
+    *(QualityLevel(1.0, scale, error_px=error) for scale, error in ((1 / 2, 1.25), (2 / 5, 1.5), (1 / 3, 1.5))),
+)
+"""Details merged, and fewer pixels."""
+REFINED = CUT_LEVELS[3]
+"""Quality of a picture between one in motion and a full one that takes long."""
 
 SETTLED_S = 0.15  # time without changes after which full quality returns
 _TOLERANCE = 1.15
-_PROMISING = 0.55  # share of the target frame time below which a finer level is tried
+_PROMISING = 1.1  # share of the target frame time that a finer level may be expected to take when it is tried
 _FORGET_AFTER = 45  # frames after which a level that was too slow may be tried once more
-_PATIENCE = 1.5  # factor on the target while only rain and road users move: no answer to the mouse waits for them
 _FIRST_BACKDROP = 2  # level of backdrops to begin with
+_LONG_MS = 150.0  # drawing time of a full picture from which on a refined one comes first
+_CUTS_A_HALVING = 3  # levels of cuts from one to another of half its time
 
 
 @dataclass(slots=True)
@@ -106,6 +125,8 @@ class _Ladder:
 
     levels: tuple[QualityLevel, ...]
     present: int = 0
+    halving: int = 1
+    """Number of levels that halve the drawing time at best."""
     too_slow: dict[int, int] = field(default_factory=dict[int, int])
     """Levels that missed the target, with the number of frames until they may be tried once more."""
 
@@ -113,12 +134,15 @@ class _Ladder:
         """Record the drawing time of a frame, relative to the target."""
         level = self.levels.index(detail)
         self.too_slow = {each: left - 1 for each, left in self.too_slow.items() if left > 1}
-        if excess > _TOLERANCE:
+        if excess > _TOLERANCE * detail.patience:
             self.too_slow[level] = _FORGET_AFTER
-            # One level halves the work at best; never choose the same level twice in a row.
-            self.present = min(max(self.present, level + max(1, round(math.log2(excess)))), len(self.levels) - 1)
-        elif excess < _PROMISING and level == self.present > 0 and level - 1 not in self.too_slow:
-            self.present = level - 1
+            # Never choose the same level twice in a row.
+            if level == self.present:
+                steps = max(1, round(self.halving * math.log2(excess / detail.patience)))
+                self.present = min(level + steps, len(self.levels) - 1)
+        elif level == self.present > 0 and level - 1 not in self.too_slow:
+            expected = excess * 2 ** (1 / self.halving)
+            self.present -= expected < _PROMISING * self.levels[level - 1].patience
 
 
 @dataclass(slots=True)
@@ -127,16 +151,26 @@ class AdaptiveQuality:
 
     target_ms: float = 33.0
     enabled: bool = True
+    has_cuts: bool = False
+    """True if details can be merged, so that less is drawn without leaving anything out."""
     _of_all: _Ladder = field(default_factory=lambda: _Ladder(LEVELS))
+    _of_cuts: _Ladder = field(default_factory=lambda: _Ladder(CUT_LEVELS, halving=_CUTS_A_HALVING))
     _of_backdrops: _Ladder = field(default_factory=lambda: _Ladder(BACKDROP_LEVELS, _FIRST_BACKDROP))
     _rested_s: float = math.inf
     _stood_s: float = math.inf
+    _full_ms: float = 0.0
+    _is_coarse: bool = False
+    """True if something has moved since a refined or full picture."""
 
     @property
     def detail(self) -> QualityLevel:
-        if not self.enabled or self._rested_s >= SETTLED_S:
+        ladder = self._of_cuts if self.has_cuts else self._of_all
+        detail = ladder.levels[ladder.present]
+        if not self.enabled:
             return FULL_QUALITY
-        detail = self._of_all.levels[self._of_all.present]
+        if self._rested_s >= SETTLED_S:
+            refines = self._is_coarse and self.has_cuts and self._full_ms > _LONG_MS and not detail.is_exact
+            return REFINED if refines else FULL_QUALITY
         stands = self._stood_s >= SETTLED_S and not detail.is_exact
         return self._of_backdrops.levels[self._of_backdrops.present] if stands else detail
 
@@ -151,13 +185,18 @@ class AdaptiveQuality:
         `stands` is true if only rain and road users change it, and they can be drawn over a backdrop.
         """
         self._rested_s = 0.0 if moving else self._rested_s + real_s
+        self._is_coarse |= moving
         self._stood_s = self._stood_s + real_s if stands else 0.0
         return self.detail
 
     def measured(self, detail: QualityLevel, frame_ms: float) -> None:
         """Record the drawing time of a frame."""
+        self._full_ms = frame_ms if detail.is_exact else self._full_ms
+        if (detail.is_exact or detail == REFINED) and self._rested_s > 0:
+            self._is_coarse = False
+        if detail == REFINED and self._rested_s >= SETTLED_S:
+            return  # with all cores
         excess = frame_ms / self.target_ms
-        if detail.has_backdrop:
-            self._of_backdrops.measured(detail, excess / _PATIENCE)
-        else:
-            self._of_all.measured(detail, excess)
+        for ladder in (self._of_all, self._of_cuts, self._of_backdrops):
+            if detail in ladder.levels:
+                ladder.measured(detail, excess)

@@ -56,9 +56,10 @@ def project(
         caches: Holds those members of parts in memory whose Gaussians are mapped from a file.
         held: Numbers of the parts that a rolling shutter does not move: they are where their rows have them.
 
-    A camera with a lens or a rolling shutter projects them by the unscented transform, see lens_projection.py.
+    A camera with a lens or a rolling shutter projects them by the unscented transform, see lens_projection.py. For a
+    `Camera.band`, the splats of the whole picture are returned.
     """
-    intrinsics = intrinsics_of(camera)
+    intrinsics = intrinsics_of(camera.whole)
     view = None if camera.is_pinhole else lens_view(camera)
     poses: list[Float64[np.ndarray, "4 4"]] = []
     rolling: list[RollingPose] = []
@@ -106,6 +107,8 @@ def project(
             )  # fmt: skip
         indices[first:last] = own + counted
         first, counted = last, counted + len(part.gaussians)
+    if camera.rows_outside[0]:
+        shapes[:, 1] -= np.float32(camera.rows_outside[0])
     return Splats(shapes, colors, indices, points)
 
 

@@ -86,7 +86,9 @@ class ProjectionPass:
             frame |= {"is_linear": rain.is_linear, **medium_uniforms(medium)}
             if view is not None:
                 frame["medium_by_distance"] = medium.by_distance
-        if view is not None:
+        if view is None:
+            frame["rows_outside"] = camera.rows_outside
+        else:
             frame |= {
                 "lens": view.lens.tolist(), "scan": tuple(view.scan.tolist()), "by_distance": view.by_distance,
                 "edges": tuple(np.clip(view.edges, -1e30, 1e30).tolist()),

@@ -68,6 +68,7 @@ class RainPass:
             max_copies=rain.max_copies,
             near=NEAR_M, first_slot=first_slot,
             intrinsics=(camera.fx, camera.fy, camera.cx, camera.cy), image_size=(camera.width, camera.height),
+            rows_outside=camera.rows_outside,
             **({"display_color": tuple(field.color)} if lit is None else self.lamps.bind(lit)),
         )  # fmt: skip
         store.bind()

@@ -72,7 +72,17 @@ class Framebuffer:
 
     @classmethod
     def make(cls, context: moderngl.Context, layout: FramebufferLayout) -> "Framebuffer":
-        """Create the textures of a layout; raises `MemoryError` if the graphics card is full."""
+        """Create the textures of a layout.
+
+        Raises `MemoryError` if the graphics card is full, and `ValueError` for a larger picture than it can draw.
+        """
+        largest = int(context.info["GL_MAX_TEXTURE_SIZE"])
+        if max(layout.size) > largest:
+            width, height = layout.size
+            raise ValueError(
+                f"a picture of {width}x{height} samples exceeds the {largest} px of this graphics card: choose a "
+                "smaller size or supersampling, or the back end cpu"
+            )
         color = context.texture(layout.size, 4, dtype="f4")
         color.filter = moderngl.NEAREST, moderngl.NEAREST
         # Without rain the second attachment only keeps the location of the third.
@@ -570,9 +580,16 @@ class Screen:
         self._next: tuple[moderngl.Texture, moderngl.Framebuffer] | None = None
 
     def show(
-        self, picture: moderngl.Texture, background: Color = (0.0, 0.0, 0.0), gain: float = 1.0
+        self,
+        picture: moderngl.Texture,
+        background: Color = (0.0, 0.0, 0.0),
+        gain: float = 1.0,
+        sharpness: float = 0.0,
     ) -> moderngl.Texture:
-        """Tone-map a premultiplied image; `gain` multiplies linear light."""
+        """Tone-map a premultiplied image; `gain` multiplies linear light.
+
+        `sharpness` is a factor on each pixel's difference from its four neighbors, for images that are enlarged.
+        """
         if self._next is not None and self._next[0].size != picture.size:
             for old in reversed(self._next):
                 old.release()
@@ -584,6 +601,7 @@ class Screen:
         texture, framebuffer = self._last
         picture.use(0)
         self._program["picture"], self._program["background"], self._program["gain"] = 0, background, gain
+        self._program["sharpness"] = sharpness
         before = self._context.detect_framebuffer()
         framebuffer.use()
         self._vertices.render(moderngl.TRIANGLES, vertices=3)

@@ -14,7 +14,7 @@ from .mesh import Quads, rotation_about_z
 from .shadows import PointsAlong, vehicle_occluders
 from .signals import SIGNAL_COLOR, SIGNAL_M2, signal_heads
 from .trucks import HEAD_LAMP, TAIL_LAMP
-from .vegetation import crown_middle, lantern_position
+from .vegetation import CURB_HEIGHT_M, build_lantern, crown_middle, lantern_position
 
 # Lamps of the scene
 
@@ -22,6 +22,9 @@ LANTERN_M2 = 250.0
 """Intensity of a lantern: an irradiance of 6 at its foot, of which asphalt returns a sixth of a camera's white."""
 LANTERN_COLOR = (1.0, 0.66, 0.33)
 LANTERN_INNER_DEG, LANTERN_OUTER_DEG = 48.0, 88.0
+_GLASS_BELOW_M = 0.085  # a lantern's head
+LANTERN_HEIGHT_M = lantern_position(0.0, 0.0)[2] - CURB_HEIGHT_M - _GLASS_BELOW_M
+"""Height of a lantern's lamp over its foot."""
 _HEADLIGHT_M2, _HEADLIGHT_COLOR = 400.0, (1.0, 0.95, 0.87)
 _POSITION_LAMP_M2 = 4.0  # 40 cd: those of a bus at its stop, which does not dazzle
 _TAIL_LIGHT_M2, _TAIL_LIGHT_COLOR = 1.0, (1.0, 0.03, 0.02)
@@ -43,9 +46,15 @@ def lanterns(layout: StreetLayout) -> tuple[Lamp, ...]:
     )  # fmt: skip
 
 
+def lantern_at_origin() -> Quads:
+    """Build a lantern whose lamp hangs `LANTERN_HEIGHT_M` above the origin, with its mast at the right of x."""
+    arm_m = lantern_position(0.0, -1.0)[1] + 1.0
+    return build_lantern(0.0, -arm_m).placed((0.0, 0.0, -CURB_HEIGHT_M))
+
+
 def _below(head: tuple[float, float, float]) -> tuple[float, float, float]:
     """Middle of the glass below a lantern's head."""
-    return head[0], head[1], head[2] - 0.085
+    return head[0], head[1], head[2] - _GLASS_BELOW_M
 
 
 def vehicle_lamps(actor_id: str, shape: CarShape) -> tuple[Lamp, ...]:
@@ -120,7 +129,8 @@ def _tail_light(actor_id: str, side: str, position: tuple[float, float, float]) 
 
 # Light on surfaces
 
-_REACH_M = 60.0  # maximum distance from a lantern to what it lights
+LAMP_REACH_M = 60.0
+"""Maximum distance from a lantern to what it lights."""
 _WINDOW_REACH_M = 14.0
 _CROWN_PER_M = 0.75  # extinction of light in a crown
 _THROUGH_LEAF = 0.24  # share of light on the back of a leaf that comes through
@@ -180,12 +190,12 @@ def light_of_lamps(
     along = PointsAlong.of(p)
     for lamp in lanterns(layout):
         place = np.array(lamp.position)
-        near = along.within(place[0], _REACH_M)
-        near = near[np.sum((p[near] - place) ** 2, axis=1) < _REACH_M**2]
+        near = along.within(place[0], LAMP_REACH_M)
+        near = near[np.sum((p[near] - place) ** 2, axis=1) < LAMP_REACH_M**2]
         away = place - p[near]
         squared = np.maximum(np.sum(away**2, axis=1), 0.05)
         distance = np.sqrt(squared)
-        facing = _facing(np.sum(away * normals[near], axis=1) / distance, leaf[near])
+        facing = facing_share(np.sum(away * normals[near], axis=1) / distance, leaf[near])
         share = cone_share(away[:, 2] / distance, lamp.inner_deg, lamp.outer_deg) * facing
         lit = np.flatnonzero(share * lamp.intensity_m2 / squared > 1e-3)
         share = share[lit] * _unobstructed(layout, place, p[near[lit]]) / squared[lit]
@@ -203,7 +213,7 @@ def light_of_lamps(
         ahead = away @ normal
         squared = np.sum(away**2, axis=1)
         distance = np.sqrt(np.maximum(squared, 1e-6))
-        facing = _facing(-np.sum(away * normals[near], axis=1) / distance, leaf[near])
+        facing = facing_share(-np.sum(away * normals[near], axis=1) / distance, leaf[near])
         share = own[near] * np.maximum(ahead, 0) / distance * facing / (squared + area / np.pi)
         total[near] += share[:, None] * intensity / np.pi
     return total
@@ -216,7 +226,7 @@ def cone_share(cosine: Float[np.ndarray, " n"], inner_deg: float, outer_deg: flo
     return part * part * (3 - 2 * part)
 
 
-def _facing(cosine: Float64[np.ndarray, " n"], leaf: Bool[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
+def facing_share(cosine: Float64[np.ndarray, " n"], leaf: Bool[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
     """Cosine law; leaves let light through, and scatter it between them."""
     through = 0.15 + 0.55 * np.maximum(cosine, 0) + _THROUGH_LEAF * np.maximum(-cosine, 0)
     return np.where(leaf, through, np.maximum(cosine, 0))
@@ -233,7 +243,7 @@ def _bounced(
     away = np.array([lamp[0], lamp[1], 0.0]) - p
     squared = np.sum(away**2, axis=1)
     distance = np.sqrt(squared + 0.1)
-    facing = _facing(np.sum(away * normals, axis=1) / distance, leaf)
+    facing = facing_share(np.sum(away * normals, axis=1) / distance, leaf)
     return np.maximum(-away[:, 2], 0) / distance * facing * access / (squared + _BOUNCE_RADIUS_M**2)
 
 

@@ -132,7 +132,7 @@ _IRON = (0.045, 0.055, 0.052)
 
 def build_furniture(layout: StreetLayout) -> Quads:
     p = layout.parameters
-    parts = [build_masts(layout), *(_lamp(x, y) for x, y in layout.lamps)]
+    parts = [build_masts(layout), *(build_lantern(x, y) for x, y in layout.lamps)]
     sign_y = p.curb_y_m + 0.32
     for c in layout.crossings:
         for side, x in ((-1, c - 0.6), (1, c + CROSSING_LENGTH_M + 0.6)):
@@ -174,8 +174,8 @@ def lantern_position(x: float, y: float) -> tuple[float, float, float]:
     return x, y - 1.75 * float(np.sign(y)), CURB_HEIGHT_M + 6.55
 
 
-def _lamp(x: float, y: float) -> Quads:
-    """A lantern on a curved arm over the road, 6.5 m high."""
+def build_lantern(x: float, y: float) -> Quads:
+    """Build a lantern on a curved arm over the road, 6.5 m high, with its foot on the curb at (x, y)."""
     inward = -float(np.sign(y))
     turn = np.linspace(0, 0.5 * np.pi, 7)
     arm_y, arm_z = y + inward * 1.5 * (1 - np.cos(turn)), CURB_HEIGHT_M + 5.8 + 0.75 * np.sin(turn)

@@ -1,0 +1,46 @@
+"""`gsrain night SCENE -o NIGHT_SCENE`: a scene that was recorded by day, relit by lamps as by night."""
+
+from pathlib import Path
+from typing import Annotated
+
+from gsrain_engine.appearance.night_look.night_gaussians import night_scene
+from gsrain_engine.scene.formats.scene_files import write_scene
+from gsrain_engine.scene.lamp_choice import lamp_choice
+from gsrain_engine.scene.open import load_sorted_scene
+
+from .console import counted, print, run_with_progress
+from .options import JsonFile, option
+from .outputs import check_scene_folder, check_writable, lock_outputs, write_numbers
+from .scene import Orientation
+
+
+def night(
+    scene: Annotated[str, option("Scene file or folder, recorded by day.")],
+    /,
+    *,
+    output: Annotated[Path, option("Scene folder to write.", "--output", "-o")],
+    lamps: Annotated[
+        Path | None,
+        option(
+            "File of lamps (JSON or YAML), or none. Default: the scene's own, else lanterns along a drive, else two "
+            "lamps around an object."
+        ),
+    ] = None,
+    orientation: Orientation | None = None,
+    json: JsonFile = None,
+) -> None:
+    """Relight a scene that was recorded by day as by night: dark sky, lamps, dry and wet colors.
+
+    The reflectance of each Gaussian is estimated from its color, without sun and shadow, and lit by the lamps that are
+    mounted on the scene; those of vehicles light rain and water only. The geometry stays.
+    """
+    check_scene_folder(output)
+    check_writable(json)
+    opened = (orientation or Orientation()).of(load_sorted_scene(scene))
+    given = None if lamps is None else lamp_choice(str(lamps)).of(opened)
+    lock_outputs(output)
+    dark = run_with_progress(night_scene(opened, given))
+    write_scene(dark, output, in_drawing_order=True)
+    added = dark.gaussian_count - opened.gaussian_count
+    print(f"{output}: {counted(dark.gaussian_count, 'Gaussian')} by night, lit by {counted(len(dark.lamps), 'lamp')}")
+    write_numbers(json, {"gaussians": dark.gaussian_count, "gaussians_added": added, "lamps": len(dark.lamps)})

@@ -1,0 +1,128 @@
+"""Scenes by day, relit by lamps: light by the formula, shadows, default lamps, files, and a night that is refused."""
+
+from contextlib import closing
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from app.main import BAD_INPUT, run
+from editor.files.open_document import settle
+from gsrain_engine.appearance.night_look.lamp_shadows import OpacityGrid
+from gsrain_engine.appearance.night_look.lanterns import RIGHT_M, SPACING_M
+from gsrain_engine.appearance.night_look.night_gaussians import SurfaceNormals, light_of_lamps, night_scene
+from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.steps import EditStep, apply_steps, steps_since
+from gsrain_engine.scene.formats.scene_files import write_scene
+from gsrain_engine.scene.gaussians import SH_C0, Gaussians
+from gsrain_engine.scene.geometry import srgb_to_linear
+from gsrain_engine.scene.lamps import Lamp
+from gsrain_engine.scene.open import load_scene
+from gsrain_engine.scene.progress import run_to_end
+from gsrain_engine.scene.scene import Layer, PoseTrack, Scene
+from gsrain_engine.scene.street.night import LANTERN_HEIGHT_M
+from training.small_street import flat_patch
+
+LAMP = Lamp(name="one", position=(5.0, 0.0, 6.0), color=(1.0, 0.5, 0.25), intensity_m2=200.0)
+NOTHING = OpacityGrid.of(np.zeros((0, 3)), np.zeros(0), np.zeros(0))
+
+
+@pytest.fixture(scope="module")
+def yard() -> Scene:
+    """Gray level ground with a red wall, by day, without a sky."""
+    ground = flat_patch((-15, -15, 0), (30, 0, 0), (0, 30, 0), (0.5, 0.5, 0.5), 0.5, 1)
+    wall = flat_patch((-15, 12, 0.5), (30, 0, 0), (0, 0, 6), (0.7, 0.3, 0.25), 0.5, 1)
+    thin = np.array([1, 1, 0.05], np.float32)
+    ground = replace(ground, scales=ground.scales * thin)
+    return Scene("yard", (Layer("all", Gaussians.concatenate([ground, wall])),), ground_m=0.0)
+
+
+@pytest.fixture(scope="module")
+def night(yard) -> Scene:
+    return run_to_end(night_scene(yard, [LAMP]))
+
+
+def light_at(points, normal, lamp=LAMP, grid=NOTHING, plants=0.0):
+    n = len(points)
+    normals = SurfaceNormals(np.tile(np.array(normal, np.float32), (n, 1)), np.ones(n, np.float32))
+    plants = np.full(n, plants, np.float32)
+    return light_of_lamps(Scene("empty"), [lamp], np.array(points, np.float32), normals, plants, grid, None)
+
+
+def test_light_falls_with_the_square_of_the_distance_and_the_cosine():
+    (below, twice, aside), up = light_at([(5, 0, 3), (5, 0, 0), (9, 0, 3)], (0, 0, 1)), np.array(LAMP.color)
+    assert below == pytest.approx(200 / 9 / np.pi * up, rel=1e-5)
+    assert twice == pytest.approx(below / 4, rel=1e-5)
+    assert aside == pytest.approx(200 / 25 * 0.6 / np.pi * up, rel=1e-5)
+    assert not light_at([(5, 0, 3)], (0, 0, -1)).any() and light_at([(5, 0, 3)], (0, 0, -1), plants=1.0).all()
+
+
+def test_a_cone_ends_and_what_is_in_the_way_casts_a_shadow():
+    down = Lamp(position=LAMP.position, intensity_m2=200.0, inner_deg=20.0, outer_deg=30.0)
+    inside, outside = light_at([(6, 0, 0), (11, 0, 0)], (0, 0, 1), down)
+    assert inside[0] == pytest.approx(200 / 37 * 6 / 37**0.5 / np.pi, rel=1e-5) and not outside.any()
+    x, y = np.meshgrid(np.arange(3, 7, 0.1), np.arange(-2, 2, 0.1))
+    roof = np.stack([x.ravel(), y.ravel(), np.full(x.size, 3.0)], axis=1)
+    grid = OpacityGrid.of(roof, np.full(len(roof), 0.2), np.full(len(roof), 0.1))
+    under, beyond = light_at([(5, 0, 0), (14, 0, 0)], (0, 0, 1), grid=grid)
+    free = light_at([(5, 0, 0), (14, 0, 0)], (0, 0, 1))
+    assert under[0] < 0.01 * free[0, 0] and beyond == pytest.approx(free[1], rel=1e-3)
+
+
+def test_level_ground_is_asphalt_under_the_lamp(yard, night):
+    layer = night.member("layers/all")
+    g, colors = layer.gaussians, np.clip(0.5 + SH_C0 * layer.gaussians.sh[:, 0], 0, 1)
+    inner = (g.means[:, 2] == 0) & (np.abs(g.means[:, :2]).max(axis=1) < 10)
+    light = -np.log(1 - srgb_to_linear(colors[inner].astype(np.float64)))
+    expected = 0.15 * light_at(g.means[inner], (0, 0, 1))
+    near = expected[:, 0] > 0.02
+    assert np.count_nonzero(near) > 500
+    ratio = light[near, 0] / expected[near, 0]
+    assert np.median(ratio) == pytest.approx(1.0, abs=0.06) and ratio.std() < 0.16  # grain of its colors
+    wet = np.clip(0.5 + SH_C0 * layer.wet_sh[inner, 0], 0, 1)
+    assert wet.mean() < 0.9 * colors[inner].mean()
+    assert night.water is not None and night.lamps == (LAMP,)
+    names = {each.name: each for each in night.layers}
+    assert names["lamps"].gaussians.means[0] == pytest.approx(LAMP.position) and names["sky"].kind == "sky"
+    assert yard.layers[0].gaussians.means is g.means
+
+
+def test_a_drive_gets_lanterns_at_its_right_and_an_object_two_lamps(yard):
+    track = PoseTrack(np.array([0.0, 1.0]), np.array([[-9.0, 0, 1.5], [-4.0, 0, 1.5]]),
+                      np.tile([1.0, 0, 0, 0], (2, 1)), np.ones(2, bool))  # fmt: skip
+    driven = run_to_end(night_scene(replace(yard, ego=track)))
+    places = np.array([lamp.position for lamp in driven.lamps])
+    assert np.diff(places[:, 0]) == pytest.approx(SPACING_M) and places[:, 1] == pytest.approx(-RIGHT_M)
+    assert places[:, 2] == pytest.approx(LANTERN_HEIGHT_M, abs=0.05)
+    assert len(driven.member("layers/lanterns").gaussians) > 100
+    pot = replace(yard.layers[0], gaussians=yard.layers[0].gaussians.take(np.arange(3600, 4300)))
+    assert [lamp.name for lamp in run_to_end(night_scene(Scene("pot", (pot,)))).lamps] == ["front lamp", "back lamp"]
+
+
+def test_the_command_writes_the_same_bytes_twice_and_refuses_a_night(yard, tmp_path, capsys):
+    write_scene(yard, tmp_path / "day")
+    lamps = tmp_path / "lamps.yaml"
+    lamps.write_text("- {name: one, position: [5, 0, 6], color: [1, 0.5, 0.25], intensity_m2: 200}\n", "utf-8")
+    for name in ("a", "b"):
+        assert run(["night", str(tmp_path / "day"), "-o", str(tmp_path / name), "--lamps", str(lamps)]) == 0
+    first, second = (sorted(path for path in (tmp_path / name).rglob("*") if path.is_file()) for name in ("a", "b"))
+    assert [path.read_bytes() for path in first] == [path.read_bytes() for path in second] and len(first) > 4
+    read = load_scene(tmp_path / "a")
+    assert read.lamps == (LAMP,) and read.has_rainy_light and read.water is not None
+    capsys.readouterr()
+    assert run(["night", str(tmp_path / "a"), "-o", str(tmp_path / "c")]) == BAD_INPUT
+    assert "dark already" in capsys.readouterr().err and not (tmp_path / "c").exists()
+
+
+def test_the_job_of_the_window_is_one_step_that_can_be_repeated(yard):
+    with closing(Editor(replace(yard, lamps=(LAMP,)))) as editor:
+        job = editor.night_look.relight()
+        assert not editor.night_look.is_possible
+        job.wait(60)
+        settle(editor)
+        document = editor.document
+        assert (job.progress.message, document.history.labels[1:]) == ("Lit by 1 lamp", ["Relight as by night"])
+        (step,) = steps_since(document.history, document.history.steps[0].document)
+        made = document.scene.member("layers/all")
+    again = apply_steps(replace(yard, lamps=(LAMP,)), [EditStep.parse(step.text)])
+    assert step.text == "night" and np.array_equal(again.member("layers/all").gaussians.sh, made.gaussians.sh)
