@@ -91,11 +91,13 @@ def _cell(form: str, row: Any) -> str:
         return ""
 
 
-def print(*words: object, file: IO[str] | None = None) -> None:
+def print(*words: object, file: IO[str] | None = None, flush: bool = False) -> None:
     """Print one line, as the built-in `print` does; invisible characters and line breaks are escaped."""
     stream = sys.stdout if file is None else file
     if stream is not None:  # pyright: ignore  # it is where a shell has closed it
         stream.write(escape_invisible(" ".join(map(str, words))) + "\n")
+        if flush:
+            stream.flush()
 
 
 def print_lines(text: str, file: IO[str] | None = None) -> None:

@@ -70,7 +70,8 @@ def serve(
         return _serve_browsers(opened, rain or RainOptions(), wet, backend, port, sessions, json)
     token = token or os.environ.get(TOKEN) or None
     if token is None and not _is_loopback(host):
-        raise ValueError(f"--host {host}: other machines reach it, so --token (or the variable {TOKEN}) is needed")
+        raise ValueError(f"--host {host}: other machines reach it, so --token (or the variable {TOKEN}) is needed; "
+                         f"AlpaSim sends none: forward the port to its machine with ssh -L")  # fmt: skip
     if protocol == "carla-canvas" and find_spec("carla_canvas") is None:
         raise ValueError("--protocol carla-canvas needs carla-canvas: pip install 'gsrain[carla]'")
     # here, as gRPC and OpenCV take a third of a second to load
@@ -100,13 +101,15 @@ def serve(
     server = kind(open_simulator, address, sessions=sessions, token=token)
     ended = _asked_to_end()
     logging.getLogger("gsrain").setLevel(logging.INFO)
-    print(f"{', '.join(names)}: served at {host}:{server.port} ({protocol}); Ctrl-C ends")
+    numbers = {"scenes": names, "host": host, "port": server.port, "protocol": protocol}
+    write_numbers(json, numbers)  # for programs that wait for the port
+    print(f"{', '.join(names)}: served at {host}:{server.port} ({protocol}); Ctrl-C ends", flush=True)
     while not ended.wait(1.0) and not program_is_gone():  # without a timeout, Ctrl-C would not end it on Windows
         pass
     print("stopping: running calls have 10 s to end")
     server.stop()
     print(f"{counted(server.answered, 'call')} answered, {server.refused:,} refused")
-    write_numbers(json, {"scenes": names, "answered": server.answered, "refused": server.refused})
+    write_numbers(json, {**numbers, "answered": server.answered, "refused": server.refused})
     return 0
 
 

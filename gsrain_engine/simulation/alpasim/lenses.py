@@ -16,6 +16,7 @@ from ...scene.scene import RigCamera
 MAX_SIDE_PX = 4096
 MAX_PIXELS = 2**23
 _COEFFICIENTS = {"radial_coeffs": 6, "tangential_coeffs": 2, "thin_prism_coeffs": 4}
+_LARGEST_SCALE = 256
 _SAMPLES = 400
 _LARGEST_ERROR_PX = 0.02
 
@@ -37,12 +38,13 @@ def camera_of(spec: Any, width: int, height: int) -> Camera:
     kind = spec.WhichOneof("camera_param")
     if kind is None:
         raise LensError("camera_intrinsics.camera_param: one of its models must be set")
-    across = width / (spec.resolution_w or width)
-    down = height / (spec.resolution_h or height)
-    if not (2**-8 <= across <= 2**8 and 2**-8 <= down <= 2**8):
-        raise LensError(f"resolution {width} x {height} is too far from the camera's own")
+    across, down = _scale("w", width, spec.resolution_w), _scale("h", height, spec.resolution_h)
     read = {"opencv_pinhole_param": _pinhole, "opencv_fisheye_param": _fisheye, "ftheta_param": _ftheta}
     lens, fx, fy, cx, cy = read[kind](getattr(spec, kind))
+    for axis, center, side in (("x", cx, spec.resolution_w), ("y", cy, spec.resolution_h)):
+        if not -side <= center <= 2 * side:
+            told = f"must be at most one picture outside of it, not {center:g} of {side} px"
+            raise LensError(f"camera_intrinsics.principal_point_{axis}: {told}")
     camera = Camera(width, height, fx * across, fy * down, cx * across, cy * down, lens=lens)
     if lens is None:
         return camera
@@ -55,6 +57,16 @@ def camera_of(spec: Any, width: int, height: int) -> Camera:
     return camera
 
 
+def _scale(side: str, asked: int, own: int) -> float:
+    """Size of a picture over that of the camera, whose intrinsics hold for its own."""
+    if own < 1:
+        raise LensError(f"camera_intrinsics.resolution_{side}: must be the size of the camera in pixels, not 0")
+    if not 1 / _LARGEST_SCALE <= asked / own <= _LARGEST_SCALE:
+        told = f"must be within a factor of {_LARGEST_SCALE} of the camera's own {own} px, not {asked}"
+        raise LensError(f"resolution_{side}: {told}")
+    return asked / own
+
+
 _Intrinsics = tuple[Lens | None, float, float, float, float]
 
 
@@ -63,6 +75,14 @@ def _finite(name: str, values: Any) -> list[float]:
     if not np.isfinite(numbers).all() or any(abs(value) > 1e6 for value in numbers):
         raise LensError(f"camera_intrinsics.{name}: must be finite numbers of at most 1e6")
     return numbers
+
+
+def _coefficients(name: str, given: Any, count: int) -> list[float]:
+    """Coefficients of a distortion: all, or none, as a part of them could be those of another model."""
+    values = _finite(name, given)
+    if len(values) not in (0, count):
+        raise LensError(f"camera_intrinsics.{name}: must be {count} numbers, or none, not {len(values)}")
+    return values or [0.0] * count
 
 
 def _focal(parameters: Any) -> tuple[float, float, float, float]:
@@ -77,10 +97,7 @@ def _pinhole(parameters: Any) -> _Intrinsics:
     focal = _focal(parameters)
     groups: list[list[float]] = []
     for name, count in _COEFFICIENTS.items():
-        values = _finite(name, getattr(parameters, name))
-        if len(values) > count:
-            raise LensError(f"camera_intrinsics.{name}: at most {count} numbers, not {len(values)}")
-        groups.append(values + [0.0] * (count - len(values)))
+        groups.append(_coefficients(name, getattr(parameters, name), count))
     radial, tangential, prism = groups
     if not any((*radial, *tangential, *prism)):
         return None, *focal
@@ -88,10 +105,8 @@ def _pinhole(parameters: Any) -> _Intrinsics:
 
 
 def _fisheye(parameters: Any) -> _Intrinsics:
-    focal, k = _focal(parameters), _finite("radial_coeffs", parameters.radial_coeffs)
-    if len(k) > 4:
-        raise LensError(f"camera_intrinsics.radial_coeffs: at most 4 numbers, not {len(k)}")
-    return Lens("fisheye", tuple(k + [0.0] * (4 - len(k))), _max_angle(parameters)), *focal
+    focal, k = _focal(parameters), _coefficients("radial_coeffs", parameters.radial_coeffs, 4)
+    return Lens("fisheye", tuple(k), _max_angle(parameters)), *focal
 
 
 def _ftheta(parameters: Any) -> _Intrinsics:

@@ -1,7 +1,10 @@
 """gRPC server that draws pictures for simulators: limits, tokens, health, and a status for each wrong message."""
 
+import errno
 import hmac
 import logging
+import math
+import socket
 import threading
 import time
 from collections.abc import Callable
@@ -19,6 +22,8 @@ MAX_MESSAGE_BYTES = 64 * 2**20
 """Largest message that is received, and that is sent unless a service says otherwise: that of AlpaSim's clients."""
 
 _POLL_S = 0.1  # between looks at whether a waiting client is still there
+_REFUSING = 2  # threads beyond one for each running call, to refuse others at once
+_LARGEST_QUEUE = 1000  # calls that may wait to be refused
 
 
 Method = Callable[[Any, Any], Any]
@@ -44,6 +49,8 @@ class RenderServer:
         self.answered = self.refused = self.running = 0
         """Calls that were answered, that were refused, and that are under way."""
         self._counting = threading.Lock()
+        self._cut_off_s = math.inf  # on the clock, from when running calls are ended
+        _check_address(address)
         self._drawing = ThreadPoolExecutor(1, "drawing")
         self.simulator = self._drawing.submit(open_simulator).result()
         options = [
@@ -52,7 +59,9 @@ class RenderServer:
             ("grpc.so_reuseport", 0),
         ]
         self._server = grpc.server(
-            ThreadPoolExecutor(sessions + 2, "calls"), options=options, maximum_concurrent_rpcs=sessions
+            ThreadPoolExecutor(sessions + _REFUSING, "calls"),
+            options=options,
+            maximum_concurrent_rpcs=sessions + _LARGEST_QUEUE,
         )
         offered = self.services()
         check = calls(HEALTH_SERVICE)["Check"]
@@ -68,20 +77,24 @@ class RenderServer:
             self._server.add_generic_rpc_handlers((grpc.method_handlers_generic_handler(service, handlers),))
         try:
             self.port: int = self._server.add_insecure_port(address)
-        except RuntimeError as error:
-            self._close()
-            raise OSError(f"{address} can't be listened at: {error}") from None
+        except RuntimeError:
+            self.port = 0
         if self.port == 0:
             self._close()
             raise OSError(f"{address} can't be listened at")
         self._server.start()
+
+    def subject(self, request: Any) -> str:
+        """Words of the log for what a request is about: its scene."""
+        return str(getattr(request, "scene_id", ""))[:80]
 
     def services(self) -> dict[str, dict[str, tuple[Any, Method]]]:
         """Offered services by full name: the classes of requests and the functions of their calls."""
         raise NotImplementedError
 
     def stop(self, grace_s: float = 10.0) -> None:
-        """Refuse new calls, wait for running ones, and close the renderer."""
+        """Refuse new calls, wait for running ones, which end after the time given, and close the renderer."""
+        self._cut_off_s = time.monotonic() + grace_s
         self._server.stop(grace_s).wait()
         self._close()
 
@@ -93,22 +106,24 @@ class RenderServer:
         """Function of a call, from bytes to bytes: errors become a status."""
 
         def answer(data: bytes, context: Any) -> bytes:
-            started = time.monotonic()
-            self._count(running=1)
+            started, label, has_place = time.monotonic(), name, False
             try:
                 self._check_token(context)
+                has_place = self._take_place()
                 try:
                     request = kind.FromString(data)
                 except decode_error():
                     raise RequestError("INVALID_ARGUMENT", f"not a message {kind.DESCRIPTOR.full_name}") from None
+                label = f"{name} {self.subject(request)}".strip()
                 found = method(request, context).SerializeToString()
                 if len(found) > self.largest_answer_bytes:
                     told = f"the answer has {len(found)} bytes, at most {self.largest_answer_bytes} are sent"
                     raise RequestError("INVALID_ARGUMENT", told)
             except RequestError as error:
                 self._count(refused=1)
-                logger.info("%s: %s, %s", name, error.status, error.text)
-                context.abort(self._status(error.status), error.text)
+                text = self._end_of(context) if error.status == "CANCELLED" else error.text
+                logger.info("%s: %s, %s", _who(context, label), error.status, text)
+                context.abort(self._status(error.status), text)
                 raise
             except MemoryError:
                 self._count(refused=1)
@@ -116,13 +131,14 @@ class RenderServer:
                 raise
             except Exception as error:
                 self._count(refused=1)
-                logger.exception("%s failed", name)
+                logger.exception("%s failed", _who(context, label))
                 context.abort(self._grpc.StatusCode.INTERNAL, f"{type(error).__name__}; the server's log has more")
                 raise
             finally:
-                self._count(running=-1)
+                self._count(running=-int(has_place))
             self._count(answered=1)
-            logger.info("%s: %d bytes in %.2f s", name, len(found), time.monotonic() - started)
+            taken_s = time.monotonic() - started
+            logger.info("%s: %d bytes, %.2f s after the call came", _who(context, label), len(found), taken_s)
             return found
 
         return answer
@@ -136,6 +152,20 @@ class RenderServer:
             self.answered += answered
             self.refused += refused
 
+    def _take_place(self) -> bool:
+        """Count a call as running. Raises `RequestError` if as many as may are."""
+        with self._counting:
+            if self.running < self.sessions:
+                self.running += 1
+                return True
+        raise RequestError("RESOURCE_EXHAUSTED", f"at most {self.sessions} calls wait or run at a time (--sessions)")
+
+    def _end_of(self, context: Any) -> str:
+        """Reason why nobody waits for the answer of a call."""
+        if time.monotonic() >= self._cut_off_s:
+            return "the server has stopped"
+        return "its deadline has passed" if context.time_remaining() == 0 else "the client is gone"
+
     def _check_token(self, context: Any) -> None:
         if self._token is None:
             return
@@ -146,18 +176,39 @@ class RenderServer:
 
     def draw(self, work: Callable[[Callable[[], bool]], Any], context: Any) -> Any:
         """Result of work of the drawing thread; given up when the client is gone."""
-        future: Future[Any] = self._drawing.submit(work, context.is_active)
+
+        def is_waited_for() -> bool:
+            return context.is_active() and context.time_remaining() != 0
+
+        future: Future[Any] = self._drawing.submit(work, is_waited_for)
         while True:
             try:
                 return future.result(_POLL_S)
             except NotDoneError:
                 if future.done():
                     raise
-                if not context.is_active():
+                if not is_waited_for():
                     future.cancel()
                     raise RequestError("CANCELLED", "the client is gone") from None
             except CancelledError:
                 raise RequestError("CANCELLED", "the client is gone") from None
+
+
+def _who(context: Any, label: str) -> str:
+    """Beginning of a line of the log: time of day, client and call."""
+    return f"{time.strftime('%H:%M:%S')} {context.peer()} {label}"
+
+
+def _check_address(address: str) -> None:
+    """Raise `OSError` if an address can't be listened at, with the reason, which gRPC doesn't give."""
+    host, _, port = address.rpartition(":")
+    host = host.strip("[]")
+    try:
+        socket.create_server((host, int(port)), family=socket.AF_INET6 if ":" in host else socket.AF_INET).close()
+    except OSError as error:
+        reason = (error.strerror or str(error)).partition(" (")[0]  # Python adds the address
+        advice = "; choose another port, or 0 for any free one" if error.errno == errno.EADDRINUSE else ""
+        raise OSError(f"{address} can't be listened at: {reason}{advice}") from None
 
 
 def own_version() -> str:

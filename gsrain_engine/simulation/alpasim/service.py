@@ -16,6 +16,11 @@ class SensorsimServer(RenderServer):
         methods = self._methods()
         return {SERVICE: {name: (call.request, methods[name]) for name, call in calls(SERVICE).items()}}
 
+    def subject(self, request: Any) -> str:
+        rows = [*getattr(request, "rgb_requests", ()), *getattr(request, "lidar_requests", ())]
+        rows += [item.request for item in getattr(request, "items", ())]
+        return f"{len(rows)} of {super().subject(rows[0])}" if rows else super().subject(request)
+
     def _methods(self) -> dict[str, Method]:
         simulator = self.simulator
 

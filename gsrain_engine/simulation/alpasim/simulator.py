@@ -40,6 +40,7 @@ Pose = Float64[np.ndarray, "4 4"]
 _MAX_TIME_US = 10**12
 _FARTHEST_M = 1e6
 _FASTEST_M_S = 100.0
+_UNIT = 0.1  # that the length of a quaternion may differ from 1, as those that clients interpolate do
 _PAST_S = 5.0  # for which moving objects go on backward with the speed of their two poses, for the spray behind them
 _LARGEST_BANDS = 32  # of a picture with a rolling shutter, each from poses of its own
 _BAND_SHIFT_PX = 1.5  # that points at the near distance move from band to band
@@ -158,7 +159,7 @@ class Simulator:
         spec = request.camera_intrinsics
         mounted = served.cameras.get(spec.logical_id)
         scene = _moved_scene(served, request, moment, mounted)
-        direction = _ROLLING.get(enum_name("ShutterType", spec.shutter_type))
+        direction = _ROLLING.get(enum_name("ShutterType", spec.shutter_type))  # else global, as UNKNOWN is
         if served.rainfall.rain.glass == "none" and self.renderer.draws_lenses:
             time_s, pose = moment.at(0.5)
             rolling = None if direction is None else _rolling(moment, direction)
@@ -365,7 +366,7 @@ def _pose(name: str, pose: Any) -> Pose:
     length = float(np.linalg.norm(quaternion))
     if not np.isfinite(place).all() or np.abs(place).max() > _FARTHEST_M:
         raise RequestError("INVALID_ARGUMENT", f"{name}.vec: must be finite, at most {_FARTHEST_M:g} m from the origin")
-    if not 1e-3 < length < 1e3:
+    if not abs(length - 1) < _UNIT:
         raise RequestError("INVALID_ARGUMENT", f"{name}.quat: must be a quaternion of length 1, not {length:g}")
     matrix = np.eye(4)
     matrix[:3, :3] = matrices_from_quaternions(quaternion / length)
@@ -412,9 +413,11 @@ def _moved_scene(served: ServedScene, request: Any, moment: Moment, mounted: Rig
     actors: list[Actor] = []
     motions: dict[str, PoseTrack] = {}
     for row in request.dynamic_objects:
-        actor = by_id.pop(row.track_id, None)
+        actor = by_id.get(row.track_id)
         if actor is None:
-            continue  # a road user of the simulator that the scene has no Gaussians of, or one listed twice
+            continue  # a road user of the simulator that the scene has no Gaussians of
+        if actor.id in motions:
+            raise RequestError("INVALID_ARGUMENT", f"dynamic_objects[{row.track_id[:40]!r}]: is listed twice")
         down = np.eye(4)
         down[2, 3] = -actor.size_lwh[2] * scene.metres_per_unit / 2  # AlpaSim's poses are of the middle of the box
         start, end = (pose @ down for pose in _pose_pair(f"dynamic_objects[{row.track_id[:40]!r}]", row.pose_pair))

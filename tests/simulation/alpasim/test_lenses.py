@@ -17,8 +17,8 @@ RADIAL, TANGENTIAL, PRISM = [-0.31, 0.09, -0.004, 0.01, 0.002, 0.0], [0.001, -0.
 KANNALA = [0.05, -0.02, 0.004, -0.0005]
 
 
-def camera(model: str, **fields):
-    spec = message("CameraSpec")(resolution_w=WIDTH, resolution_h=HEIGHT)
+def camera(model: str, size: tuple[int, int] = (WIDTH, HEIGHT), **fields):
+    spec = message("CameraSpec")(resolution_w=size[0], resolution_h=size[1])
     lens = getattr(spec, model)
     lens.principal_point_x, lens.principal_point_y = MATRIX[:2, 2]
     for name, value in fields.items():
@@ -135,9 +135,13 @@ def test_a_camera_comes_back_from_the_message_that_is_written_for_it(spec) -> No
     [
         (message("CameraSpec")(), "camera_param"),
         (camera("opencv_pinhole_param"), "focal_length: must be at least 1 px"),
-        (opencv("opencv_pinhole_param", radial_coeffs=[0.1] * 7), "radial_coeffs: at most 6 numbers, not 7"),
+        (opencv("opencv_pinhole_param", radial_coeffs=[0.1] * 7), "radial_coeffs: must be 6 numbers, or none, not 7"),
+        (opencv("opencv_pinhole_param", radial_coeffs=[0.1] * 3), "radial_coeffs: must be 6 numbers, or none, not 3"),
         (opencv("opencv_pinhole_param", tangential_coeffs=[float("nan")]), "tangential_coeffs: must be finite"),
-        (opencv("opencv_fisheye_param", radial_coeffs=[-1e5]), "no pixel sees|must rise"),
+        (opencv("opencv_pinhole_param", size=(0, HEIGHT)), "resolution_w: must be the size of the camera"),
+        (opencv("opencv_pinhole_param", size=(5, HEIGHT)), "principal_point_x: must be at most one picture outside"),
+        (opencv("opencv_pinhole_param", size=(WIDTH, 2**16)), "resolution_h: must be within a factor of 256 of"),
+        (opencv("opencv_fisheye_param", radial_coeffs=[-1e5, 0, 0, 0]), "no pixel sees|must rise"),
         (camera("ftheta_param"), "must have 1 to 16 numbers"),
         (camera("ftheta_param", angle_to_pixeldist_poly=[0.0, -5.0]), "must rise"),
         (camera("ftheta_param", pixeldist_to_angle_poly=[1e6] * 3), "no pixel sees anything"),

@@ -2,7 +2,7 @@
 
 import io
 import json
-import os
+import re
 import signal
 import subprocess
 import sys
@@ -309,8 +309,13 @@ def test_more_calls_than_sessions_are_turned_away(scene: Scene) -> None:
         data = request.SerializeToString()
         method = client.channel.unary_unary(f"/{SERVICE}/render_aggregated")
         waiting = [method.future(data, metadata=client.metadata) for _ in range(6)]
-        codes = [each.exception().code().name if each.exception() else "OK" for each in waiting]
+        errors = [each.exception() for each in waiting]
+        codes = [error.code().name if error else "OK" for error in errors]
         assert "OK" in codes and "RESOURCE_EXHAUSTED" in codes and {*codes} == {"OK", "RESOURCE_EXHAUSTED"}
+        assert all("at most 1 calls wait or run at a time (--sessions)" in error.details() for error in errors if error)
+        assert server.refused == codes.count("RESOURCE_EXHAUSTED")
+        with pytest.raises(OSError, match="in use; choose another port"):
+            SensorsimServer(opened, f"127.0.0.1:{server.port}")
         for wrong in (Client(server.port), Client(server.port, authorization="Bearer secre")):
             assert status_of(lambda wrong=wrong: wrong.call("get_version")) == "UNAUTHENTICATED"
     finally:
@@ -353,6 +358,7 @@ BROKEN = [
     (_broken("frame_end_us", value=0), "INVALID_ARGUMENT"),
     (_broken("sensor_pose.start_pose.vec.x", value=float("inf")), "INVALID_ARGUMENT"),
     (_broken("sensor_pose.start_pose.quat.w", value=1e30), "INVALID_ARGUMENT"),
+    (_broken("sensor_pose.start_pose.quat.w", value=2.0), "INVALID_ARGUMENT"),
     (_broken("sensor_pose.end_pose.vec.z", value=-1e9), "INVALID_ARGUMENT"),
     (_broken("camera_intrinsics.opencv_pinhole_param.focal_length_x", value=float("nan")), "INVALID_ARGUMENT"),
     (_broken("camera_intrinsics.opencv_pinhole_param.focal_length_y", value=0.0), "INVALID_ARGUMENT"),
@@ -361,6 +367,7 @@ BROKEN = [
     (lambda request: request.ClearField("camera_intrinsics"), "INVALID_ARGUMENT"),
     (lambda request: request.camera_intrinsics.bivariate_windshield_model_param.SetInParent(), "UNIMPLEMENTED"),
     (lambda request: request.dynamic_objects.add(track_id="car-7"), "INVALID_ARGUMENT"),
+    (lambda request: with_car(with_car(request, (12, 0, 1)), (9, 0, 1)), "INVALID_ARGUMENT"),
 ]
 
 
@@ -402,14 +409,17 @@ def test_bytes_that_are_no_message_end_in_a_status(client: Client) -> None:
 def test_the_command_serves_until_it_is_asked_to_stop(tmp_path: Path) -> None:
     write_scene(scene_with_car(), tmp_path / "small")
     command = [sys.executable, "-m", "app", "serve", str(tmp_path / "small"), "--port", "0", "--backend", "cpu"]
-    environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
-    running = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
+    command += ["--json", str(tmp_path / "serve.json")]
+    running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert running.stdout is not None
     line = running.stdout.readline()
     assert line.startswith("small: served at 127.0.0.1:") and "(alpasim)" in line
-    client = Client(int(line.split("127.0.0.1:")[1].split()[0]))
+    port = int(line.split("127.0.0.1:")[1].split()[0])
+    assert json.loads((tmp_path / "serve.json").read_text())["port"] == port
+    client = Client(port)
     assert client.picture(request_of(client, "small")).shape == (64, 96, 3)
     running.send_signal(signal.SIGTERM)
-    rest, _ = running.communicate(timeout=60)
+    rest, log = running.communicate(timeout=60)
     assert running.returncode == 0
+    assert re.search(r"^\d\d:\d\d:\d\d ipv4:127.0.0.1:\d+ render_rgb small: \d+ bytes, ", log, re.MULTILINE)
     assert rest.splitlines()[-1] == "2 calls answered, 0 refused"
