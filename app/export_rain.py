@@ -93,7 +93,8 @@ def export_rain(
         check_written_format(output)
         check_within("--time", time, 0, 1e6, "s")
         opened = (orientation or Orientation()).of(load_sorted_scene(source))
-        numbers = _export_gaussians(opened, rain or RainOptions(), output, time, camera, parse_size(size), with_scene)
+        size_px = parse_size(size)
+        numbers = _export_gaussians(opened, rain or RainOptions(), output, time, camera, size_px, wet, with_scene)
     else:
         check_writable(
             json, *([output] if Path(source).is_file() else []), folders=[] if Path(source).is_file() else [output]
@@ -110,9 +111,13 @@ def _export_gaussians(
     time_s: float,
     camera: Path | None,
     size_px: tuple[int, int],
+    wet: bool | None,
     with_scene: bool,
 ) -> dict[str, Any]:
-    simulation = RainSimulation.start(_without_fog(rain, scene).without_medium)  # a file has Gaussians only
+    settings = _without_fog(rain, scene)
+    if with_scene or wet is not None:
+        scene, settings = rainy_light(scene, settings, wet, settings.intensity_mm_h)
+    simulation = RainSimulation.start(settings.without_medium)  # a file has Gaussians only
     still = ExportSettings(output="rain.png", first_s=time_s, size_px=size_px)
     viewpoint = viewpoint_of(scene, camera, None, still, is_frame=False)
     (sequence,) = export_sequences(still, scene, simulation, viewpoint, in_scene_time=scene.path is not None).values()

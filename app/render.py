@@ -83,7 +83,7 @@ def render(
         Path | None,
         option("Camera file (JSON), with its lens and rolling shutter if any, in the scene's own units and axes."),
     ] = None,
-    camera_path: Annotated[Path | None, option("Camera path: ours, nerfstudio's, or 3DGS's cameras.json.")] = None,
+    camera_path: Annotated[Path | None, option("Camera path: ours, nerfstudio's, 3DGS's cameras.json, a .glb.")] = None,
     rain_keyframes: Annotated[
         Path | None, option("Rain keyframes (YAML or JSON) in place of the scene's: intensity, wind, wetness, lamps.")
     ] = None,
@@ -379,7 +379,7 @@ def viewpoint_of(
         read = read_camera(camera)
         return (read.resized(width, height) if export.size_px else read).moved(scene.scene_to_world)
     if camera_path is not None:
-        return read_camera_path(camera_path).moved(scene.scene_to_world)
+        return read_camera_path(camera_path, scene.scene_to_world).moved(scene.scene_to_world)
     if scene.path is not None or not export.is_still or is_frame or front_camera(scene) is not None:
         return own_path(scene, width, height)
     return home_camera(scene, width, height)

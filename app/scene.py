@@ -30,12 +30,19 @@ from gsrain_engine.scene.formats.scene_files import (
     write_scene,
 )
 from gsrain_engine.scene.lod_tree import MIN_GAUSSIANS
-from gsrain_engine.scene.open import is_built_in_street, load_scene, load_street, scene_folder_of, sorted_with_trees
+from gsrain_engine.scene.open import (
+    is_built_in_street,
+    load_scene,
+    load_sorted_scene,
+    load_street,
+    scene_folder_of,
+    sorted_with_trees,
+)
 from gsrain_engine.scene.rig import rig_camera
 from gsrain_engine.scene.scene import Actor, Layer, Scene, bounds
 from gsrain_engine.scene.transforms import with_wetness_baked
 
-from .console import counted, print, print_lines, progress_bar, table_of, wide_console
+from .console import counted, print, print_lines, progress_bar, run_with_progress, table_of, wide_console
 from .options import AllowOutside, JsonFile, check_within, flag, let_names_lead_outside, option
 from .outputs import check_image, check_scene_folder, check_scene_target, check_writable, lock_outputs, write_numbers
 
@@ -51,7 +58,10 @@ class Orientation:
 
     up: Annotated[
         Axis | None,
-        option("Axis of the scene that points up; default for Gaussian files: -y.", allow_leading_hyphen=True),
+        option(
+            "Axis of the scene that points up; default for Gaussian files: -y. convert turns a single file by it.",
+            allow_leading_hyphen=True,
+        ),
     ] = None
     meters_per_unit: Annotated[float | None, option("Length of one scene unit in meters.")] = None
 
@@ -177,7 +187,7 @@ def _print(scene: Scene, numbers: dict[str, Any]) -> None:
     console.print(f"1 unit = {scene.metres_per_unit:g} m{assumed}, up = ({up})")
     corners = zip("xyz", numbers["core_m"]["minimum"], numbers["core_m"]["maximum"], strict=True)
     ranges = ", ".join(f"{axis} {low + 0.0:.4g} to {high + 0.0:.4g}" for axis, low, high in corners)
-    console.print(f"most of it lies at {ranges} m")
+    console.print(f"most of it lies at {ranges} m in the world (z up); below, each in its own units and axes")
     shell = numbers["shell"]
     if shell is not None:
         console.print(
@@ -322,7 +332,12 @@ def convert(
     target: Annotated[Path, option(f"File to write ({_WRITTEN}), or a folder for a scene folder.")],
     /,
     *,
-    wetness: Annotated[float | None, option("Bake in the colors of a wetness, 0..1; default for a file: 0.")] = None,
+    wetness: Annotated[
+        float | None, option("Bake in the colors of a wetness, 0..1; default for a file: 0, with --wet 1.")
+    ] = None,
+    wet: Annotated[
+        bool, flag("Compute wet colors first if the scene has none, as in render: a folder gets both sets of colors.")
+    ] = False,
     orientation: Orientation | None = None,
     level: Annotated[bool, flag("Find the ground, and rotate the scene until it is level.")] = False,
     camera_height: Annotated[
@@ -332,7 +347,7 @@ def convert(
         str | None,
         option(
             "Add an ego vehicle with a front camera that drives along a camera path: own for the scene's, or a "
-            "file (ours, nerfstudio's, cameras.json of 3DGS). gsrain drive needs one."
+            "file (ours, nerfstudio's, cameras.json of 3DGS, a .glb). gsrain drive needs one."
         ),
     ] = None,
     speed: Annotated[float | None, option("Speed of --drive in m/s; default: its own times, or walking pace.")] = None,
@@ -346,7 +361,8 @@ def convert(
     check_within("--wetness", wetness, 0, 1)
     check_scene_target(target)
     check_writable(json)
-    scene = (orientation or Orientation()).of(load_scene(source))
+    # wet colors are cached for the order in which render draws
+    scene = (orientation or Orientation()).of(load_sorted_scene(source) if wet else load_scene(source))
     lock_outputs(target)
     if level or camera_height is not None:
         scene = level_from_ground(scene)
@@ -359,9 +375,15 @@ def convert(
         raise ValueError(f"--speed {speed:g}: is that of --drive, which is not asked for")
     if drive is not None:
         scene = _driven(scene, drive, speed)
+    if wet and not scene.has_rainy_light:
+        from gsrain_engine.recolor.cached_colors import cached_wet_scene  # kernels take a second to load
+
+        scene = run_with_progress(cached_wet_scene(scene))
+    if wet and wetness is None and not names_scene_folder(target):
+        wetness = 1.0
     if wetness is not None:
         if all(each.wet_sh is None for each in scene.members):
-            raise ValueError(f"--wetness {wetness:g}: {source} has no wet colors; gsrain recolor makes them")
+            raise ValueError(f"--wetness {wetness:g}: {source} has no wet colors; --wet computes them first")
         scene = with_wetness_baked(scene, wetness)
     is_large = names_scene_folder(target) and scene.gaussian_count >= MIN_GAUSSIANS
     write_scene(sorted_with_trees(scene) if is_large else scene, target, in_drawing_order=is_large)
@@ -381,7 +403,7 @@ def convert(
 
 def _driven(scene: Scene, drive: str, speed: float | None) -> Scene:
     """Let an ego vehicle drive along a path, at its own times, or at the given or assumed speed."""
-    path = scene.path if drive == "own" else read_camera_path(drive)
+    path = scene.path if drive == "own" else read_camera_path(drive, scene.scene_to_world)
     if path is None:
         return drive_along_own_path(scene)  # raises the reason
     timing = timed_path(path, speed, scene.metres_per_unit)

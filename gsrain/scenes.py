@@ -205,9 +205,11 @@ class CameraPath(camera_path.CameraPath):
     def read(cls, path: Path | str, scene: Scene) -> "CameraPath":
         """Read a file in a scene's own units and axes: ours, nerfstudio's camera_path.json, or 3DGS's cameras.json.
 
+        A camera of a `.glb` is read, too, placed as in the `.glb` that the scene is written to.
+
         Raises `SceneFormatError` when it can't be read.
         """
-        return cls._of(read_camera_path(Path(path)).moved(scene.scene_to_world))
+        return cls._of(read_camera_path(Path(path), scene.scene_to_world).moved(scene.scene_to_world))
 
     def save(self, path: Path | str, scene: Scene) -> None:
         """Write the path as JSON, in a scene's own units and axes, as `gsrain render --camera-path` reads it."""

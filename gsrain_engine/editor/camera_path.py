@@ -221,7 +221,7 @@ class CameraPathEditor:
     def import_path(self, file: Path) -> None:
         """Import a camera path; an error is reported, and the present path stays."""
         try:
-            path = read_camera_path(file)
+            path = read_camera_path(file, self._document.scene.scene_to_world)
         except SceneFormatError as error:
             self._status.report(error)
             return

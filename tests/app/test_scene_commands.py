@@ -16,7 +16,7 @@ from gsrain_engine.datasets.capture_folder import write_views
 from gsrain_engine.editor.files import load_document
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
-from gsrain_engine.scene.transforms import blend_wet_sh
+from gsrain_engine.scene.transforms import blend_wet_sh, wet_sh_of
 from small_scene import small_scene
 
 
@@ -109,6 +109,19 @@ def test_convert_bakes_the_clear_colors_or_a_blend(wet, tmp_path):
     baked = read_scene(tmp_path / "soaked")
     assert not baked.has_wet_colors
     np.testing.assert_array_equal(baked.layers[0].gaussians.sh, scene.layers[0].wet_sh)
+
+
+def test_convert_computes_wet_colors_if_asked_to(tmp_path):
+    write_scene(small_scene(), tmp_path / "dry")
+    for target, options in (("both", []), ("soaked.ply", []), ("half.ply", ["--wetness", "0.5"])):
+        assert run(["convert", str(tmp_path / "dry"), str(tmp_path / target), "--wet", *options]) == 0
+    both = read_scene(tmp_path / "both")
+    assert both.has_rainy_light
+    clear, soaked = (np.concatenate([sh(each) for each in both.layers]) for sh in (lambda a: a.gaussians.sh, wet_sh_of))
+    assert not np.allclose(clear, soaked, atol=0.05)
+    for name, share in (("soaked.ply", 1.0), ("half.ply", 0.5)):
+        found = read_scene(tmp_path / name).layers[0].gaussians.sh
+        np.testing.assert_allclose(found, blend_wet_sh(clear, soaked, share), atol=1e-5)
 
 
 def test_street_writes_scene_and_photographs(tmp_path, reported):

@@ -103,11 +103,15 @@ def test_the_rain_s_gaussians_are_written_with_and_without_the_scene(tmp_path, c
     arguments = ["export-rain", str(tmp_path / "scene"), "--rain", "20", "--time", "1", "--size", "160x120"]
     assert run([*arguments, "-o", str(tmp_path / "rain.ply")]) == 0
     assert run([*arguments, "-o", str(tmp_path / "both.ply"), "--with-scene"]) == 0
+    assert run([*arguments, "-o", str(tmp_path / "wet.glb"), "--with-scene", "--wet"]) == 0
     assert "streak Gaussians and" in capsys.readouterr().out
-    (rain,), (both,) = (read_scene(tmp_path / name).layers for name in ("rain.ply", "both.ply"))
+    (rain,), (both,), (wet,) = (read_scene(tmp_path / name).layers for name in ("rain.ply", "both.ply", "wet.glb"))
     count = len(rain.gaussians)
     assert count > 1000 and len(both.gaussians) == count + small_scene().gaussian_count
     np.testing.assert_allclose(both.gaussians.means[-count:], rain.gaussians.means, atol=1e-6)
     np.testing.assert_allclose(both.gaussians.opacities[-count:], rain.gaussians.opacities, atol=1e-6)
+    surfaces = slice(0, small_scene().gaussian_count)
+    np.testing.assert_allclose(wet.gaussians.means[surfaces], both.gaussians.means[surfaces], atol=1e-6)
+    assert np.abs(wet.gaussians.sh[surfaces] - both.gaussians.sh[surfaces]).max(axis=(1, 2)).mean() > 0.1
     # In the frame of files -y is up: rain falls around the camera, within 25 m of the ground.
     assert -25 < rain.gaussians.means[:, 1].min() < rain.gaussians.means[:, 1].max() < 5

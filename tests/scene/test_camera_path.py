@@ -1,6 +1,7 @@
 """Camera paths: through their keyframes, by splines or lines, in loops, eased; and their files, ours and others'."""
 
 import json
+import struct
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,9 +25,10 @@ from gsrain_engine.scene.camera_path_io import (
 )
 from gsrain_engine.scene.easing import apply_easing
 from gsrain_engine.scene.files import SceneFormatError
+from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from gsrain_engine.scene.rig import rig_camera_path
 from gsrain_engine.scene.scene import PoseTrack, RigCamera, Scene
-from small_scene import AHEAD
+from small_scene import AHEAD, small_scene
 
 EASINGS = ["none", "in and out", "at each key"]
 KNOTS = np.array([0.0, 1.0, 2.5, 3.0])
@@ -249,6 +251,59 @@ def test_axes_of_nerfstudio_are_those_of_opengl(tmp_path: Path) -> None:
         found = read_camera_path(tmp_path / "a.json")
         assert found.is_timed == bool(values)
         same_view(found.camera(0.0, 600, 400), Camera.from_fov(600, 400, 50.0, np.linalg.inv(pose)))
+
+
+def write_glb_camera(path: Path, interpolation: str = "LINEAR") -> tuple[np.ndarray, Rotation]:
+    """A camera that turns on a node that moves, at three moments; returns its places and rotations there."""
+    places = np.array([[0, 1, 5], [1, 2, 4], [4, 2, 4]], "<f4")
+    turns = Rotation.from_euler("YX", [[0, -20], [30, 0], [50, 10]], degrees=True)
+    columns = np.array([0, 0.5, 2], "<f4"), places, turns.as_quat().astype("<f4")
+    ends = np.cumsum([0, *(column.nbytes for column in columns)]).tolist()
+    document = {
+        "nodes": [{"children": [1], "translation": [9, 9, 9]}, {"camera": 0}, {"camera": 0}],
+        "cameras": [{"type": "perspective", "perspective": {"yfov": 0.7, "znear": 0.1}}],
+        "animations": [{
+            "channels": [{"sampler": k, "target": {"node": k, "path": ("translation", "rotation")[k]}} for k in (0, 1)],
+            "samplers": [{"input": 0, "output": k + 1, "interpolation": interpolation} for k in (0, 1)],
+        }],
+        "accessors": [
+            {"bufferView": k, "componentType": 5126, "count": 3, "type": kind}
+            for k, kind in enumerate(("SCALAR", "VEC3", "VEC4"))
+        ],
+        "bufferViews": [
+            {"buffer": 0, "byteOffset": ends[k], "byteLength": column.nbytes} for k, column in enumerate(columns)
+        ],
+        "buffers": [{"byteLength": ends[-1]}],
+    }  # fmt: skip
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    binary = b"".join(column.tobytes() for column in columns)
+    chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
+    path.write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks)
+    return places, turns
+
+
+def test_a_camera_of_gltf_is_where_the_glb_of_its_scene_has_it(tmp_path: Path) -> None:
+    places, turns = write_glb_camera(tmp_path / "a.glb")
+    scene = replace(small_scene(), up=(1.0, 0.0, 0.0), metres_per_unit=2.5)
+    write_scene(scene, tmp_path / "scene.glb")
+    (layer,) = read_scene(tmp_path / "scene.glb").layers
+    parts = [part.gaussians.means @ part.to_world[:3, :3].T + part.to_world[:3, 3] for part in scene.parts()]
+    in_world = read_camera_path(tmp_path / "a.glb", scene.scene_to_world).moved(scene.scene_to_world)
+    in_file = read_camera_path(tmp_path / "a.glb")
+    for row, time_s in enumerate((0.0, 0.5, 2.0)):
+        local = turns[row].inv().apply(layer.gaussians.means * [-1, -1, 1] - places[row])  # glTF: y up, z back
+        for path, points in ((in_world, np.concatenate(parts)), (in_file, layer.gaussians.means)):
+            camera = path.camera(time_s, 480, 320)
+            found = points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+            np.testing.assert_allclose(found, local * [1, -1, -1], atol=2e-4)
+            np.testing.assert_allclose(np.radians(camera.vertical_fov_deg), 0.7)
+    write_glb_camera(tmp_path / "b.glb", "CUBICSPLINE")
+    (tmp_path / "c.gltf").write_text("{}")
+    problems = {"b.glb": "CUBICSPLINE", "scene.glb": "no camera", "c.gltf": "from a .glb", "d.glb": "No such file"}
+    for file, problem in problems.items():
+        with pytest.raises(SceneFormatError, match=problem):
+            read_camera_path(tmp_path / file)
 
 
 @pytest.mark.parametrize(

@@ -1,25 +1,29 @@
 """Binary glTF files (`.glb`) with Gaussians: the extension KHR_gaussian_splatting of Khronos, kernel `ellipse`.
 
 glTF has y up and z toward the front, the files of 3DGS y down and z forward: half a turn about z lies between them.
-Gaussians that a draft extension compresses as SPZ are read.
+Gaussians that a draft extension compresses as SPZ are read, and cameras with their animation as camera paths.
 """
 
 import re
 import struct
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
+import scipy  # loads its submodules on first use: most files are opened without their cameras
 from jaxtyping import Float32, Float64, UInt8
 from msgspec import Meta
+from msgspec.structs import replace as replace_fields
 
 from ...safe_io.errors import readable_validation_error
 from ...safe_io.limits import read_file
+from ..camera_path import CameraPath
 from ..files import SceneFormatError
 from ..gaussians import COEFFICIENTS_OF_DEGREE, SH_C0, Gaussians
-from ..geometry import matrices_from_quaternions, srgb_to_linear
+from ..geometry import matrices_from_quaternions, quaternions_from_matrices, srgb_to_linear
 from ..transforms import transform_gaussians
 from ._common import check_room, checked_gaussians, rounded_bytes
 from .spz import decode_spz, spz_size
@@ -38,6 +42,9 @@ _WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
 _SH_NAME = re.compile(rf"{_EXTENSION}:SH_DEGREE_(\d)_COEF_(\d)")
 _LARGEST_FILE = 2**32 - 1  # its length has 32 bits
 _SIMILAR = 1e-4  # relative difference between the scales of a node's axes
+
+_ANIMATED = {"translation": "VEC3", "rotation": "VEC4", "scale": "VEC3"}
+_SAMPLED = "LINEAR", "STEP"
 
 _POINT_FLIP = np.array([-1, -1, 1], np.float32)
 _SH_FLIP = np.array([(-1) ** (m % 2) for degree in range(4) for m in range(-degree, degree + 1)], np.float32)
@@ -81,10 +88,40 @@ class _Mesh(msgspec.Struct, frozen=True):
 class _Node(msgspec.Struct, frozen=True):
     children: list[_Index] = []
     mesh: _Index | None = None
+    camera: _Index | None = None
     matrix: Annotated[list[float], Meta(min_length=16, max_length=16)] | None = None
     translation: tuple[float, float, float] = (0.0, 0.0, 0.0)
     rotation: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
     scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
+
+
+class _Perspective(msgspec.Struct, frozen=True):
+    yfov: float
+
+
+class _Camera(msgspec.Struct, frozen=True):
+    perspective: _Perspective | None = None
+
+
+class _Target(msgspec.Struct, frozen=True):
+    path: str
+    node: _Index | None = None
+
+
+class _Channel(msgspec.Struct, frozen=True):
+    sampler: _Index
+    target: _Target
+
+
+class _Sampler(msgspec.Struct, frozen=True):
+    input: _Index
+    output: _Index
+    interpolation: str = "LINEAR"
+
+
+class _Animation(msgspec.Struct, frozen=True):
+    channels: list[_Channel] = []
+    samplers: list[_Sampler] = []
 
 
 class _SceneNodes(msgspec.Struct, frozen=True):
@@ -119,6 +156,8 @@ class _GltfDocument(msgspec.Struct, frozen=True, rename="camel"):
     scenes: list[_SceneNodes] = []
     nodes: list[_Node] = []
     meshes: list[_Mesh] = []
+    cameras: list[_Camera] = []
+    animations: list[_Animation] = []
     accessors: list[_Accessor] = []
     buffer_views: list[_BufferView] = []
     buffers: list[_Buffer] = []
@@ -137,6 +176,22 @@ def read_glb(path: Path) -> Gaussians:
     Raises `SceneFormatError` if the file is damaged, has no Gaussians, or needs an extension that is not read.
     """
     return _GlbReader(path, read_file(path)).read()
+
+
+def read_glb_camera_path(path: Path) -> CameraPath:
+    """Read the first animated camera of a binary glTF file, or its first camera, as a path in meters and PLY axes.
+
+    Keyframes are at all times of the samples of the camera's node and of its parents, and the path is straight between
+    them. Raises `SceneFormatError` if the file is damaged, has no perspective camera, or splines between its samples.
+    """
+    reader = _GlbReader(path, read_file(path))
+    try:
+        with np.errstate(all="ignore"):  # the path's own checks report overflow and division by 0
+            return reader.camera_path()
+    except SceneFormatError:
+        raise
+    except ValueError as error:
+        raise SceneFormatError(path, f"glTF: {error}") from None
 
 
 class _GlbReader:
@@ -260,8 +315,11 @@ class _GlbReader:
         return self._at(self.document.accessors, primitive.attributes[name], "accessors")
 
     def _values(self, primitive: _Primitive, name: str, kind: str) -> Float32[np.ndarray, "n w"]:
-        """Numbers of an attribute, each row contiguous, as float32."""
-        accessor = self._accessor(primitive, name)
+        """Numbers of an attribute."""
+        return self._rows(self._accessor(primitive, name), name, kind)
+
+    def _rows(self, accessor: _Accessor, name: str, kind: str) -> Float32[np.ndarray, "n w"]:
+        """Numbers of an accessor, each row contiguous, as float32; `name` is that in errors."""
         if accessor.type != kind or accessor.component_type not in _DTYPES:
             told = f"{name} is {accessor.type[:20]!r} of component type {accessor.component_type}"
             raise SceneFormatError(self.path, f"glTF: {told}, {kind} of 5120 to 5123 or 5126 would be right")
@@ -278,6 +336,65 @@ class _GlbReader:
         if accessor.normalized and dtype.kind in "iu":
             values = np.maximum(values / np.float32(np.iinfo(dtype).max), np.float32(-1))
         return values
+
+    def camera_path(self) -> CameraPath:
+        nodes = self.document.nodes
+        parents = {child: index for index, node in enumerate(nodes) for child in node.children}
+        samplers = {
+            (channel.target.node, channel.target.path): self._at(animation.samplers, channel.sampler, "samplers")
+            for animation in self.document.animations
+            for channel in animation.channels
+        }
+        moving = {node for node, _ in samplers}
+        chains = [self._chain(index, parents) for index, node in enumerate(nodes) if node.camera is not None]
+        if not chains:
+            raise SceneFormatError(self.path, "glTF: it has no camera")
+        chain = next((each for each in chains if not moving.isdisjoint(each)), chains[0])
+        perspective = self._at(self.document.cameras, nodes[chain[0]].camera or 0, "cameras").perspective
+        if perspective is None:
+            raise SceneFormatError(self.path, "glTF: its camera has no perspective, which a camera path needs")
+        own = (key for key in samplers if key[0] in chain and key[1] in _ANIMATED)
+        curves = {key: self._curve(samplers[key], key[1]) for key in own}
+        times = np.unique(np.concatenate([times for times, _ in curves.values()] or [np.zeros(1)]))
+        poses = np.tile(np.eye(4), (len(times), 1, 1))
+        for row, time_s in enumerate(times.tolist()):
+            for index in chain:
+                now = {name: at(time_s).tolist() for (node, name), (_, at) in curves.items() if node == index}
+                poses[row] = _node_matrix(replace_fields(nodes[index], **now)) @ poses[row]
+        rotations = poses[:, :3, :3] / np.linalg.norm(poses[:, :3, :3], axis=1, keepdims=True)
+        rotations = _POINT_FLIP[:, None] * rotations * np.array([1.0, -1.0, -1.0])  # glTF's camera: y up, z back
+        fov = np.full(len(times), np.degrees(perspective.yfov))
+        quaternions = quaternions_from_matrices(rotations)
+        return CameraPath(times, poses[:, :3, 3] * _POINT_FLIP, quaternions, fov, interpolation="linear")
+
+    def _chain(self, index: int, parents: dict[int, int]) -> list[int]:
+        """A node, its parent, and so on."""
+        self._at(self.document.nodes, index, "nodes")
+        chain = [index]
+        while (above := parents.get(chain[-1])) is not None:
+            if above in chain:
+                raise SceneFormatError(self.path, f"glTF: node {above} is its own parent")
+            chain.append(above)
+        return chain
+
+    def _curve(self, sampler: _Sampler, name: str) -> tuple[Float64[np.ndarray, " k"], Callable[[float], Any]]:
+        """Times of a sampler, and a function of time for its values, which are constant outside."""
+        if sampler.interpolation not in _SAMPLED:
+            told = f"its camera's {name} is {sampler.interpolation[:20]!r}: export it sampled, as LINEAR or STEP"
+            raise SceneFormatError(self.path, f"glTF: {told}")
+        accessors = self.document.accessors
+        inputs, outputs = (self._at(accessors, each, "accessors") for each in (sampler.input, sampler.output))
+        times = self._rows(inputs, "an animation's input", "SCALAR")[:, 0].astype(np.float64)
+        values = self._rows(outputs, f"an animation's {name}", _ANIMATED[name]).astype(np.float64)
+        if not (0 < len(times) == len(values) and (np.diff(times) > 0).all() and np.isfinite(values).all()):
+            raise SceneFormatError(self.path, f"glTF: its camera's {name} needs finite values at rising times")
+        if sampler.interpolation == "STEP" or len(times) == 1:
+            return times, lambda time_s: values[max(np.searchsorted(times, time_s, "right") - 1, 0)]
+        if name == "rotation":
+            turn = scipy.spatial.transform.Slerp(times, scipy.spatial.transform.Rotation.from_quat(values))
+            return times, lambda time_s: turn(min(max(time_s, times[0]), times[-1])).as_quat()
+        between = scipy.interpolate.make_interp_spline(times, values, k=1)
+        return times, lambda time_s: between(min(max(time_s, times[0]), times[-1]))
 
     def _view(self, index: int) -> memoryview:
         view = self._at(self.document.buffer_views, index, "bufferViews")
@@ -323,10 +440,7 @@ def _node_matrix(node: _Node) -> Float64[np.ndarray, "4 4"]:
         return np.array(node.matrix, np.float64).reshape(4, 4).T
     matrix = np.eye(4)
     x, y, z, w = node.rotation
-    if True:
-        matrix[:3, :3] = matrices_from_quaternions(np.array([w, x, y, z], np.float64)) * np.array(
-            node.scale, np.float64
-        )
+    matrix[:3, :3] = matrices_from_quaternions(np.array([w, x, y, z], np.float64)) * np.array(node.scale, np.float64)
     matrix[:3, 3] = node.translation
     return matrix
 
@@ -336,7 +450,7 @@ def _turned(gaussians: Gaussians) -> Gaussians:
     return replace(
         gaussians,
         means=gaussians.means * _POINT_FLIP,
-        quaternions=gaussians.quaternions[:, [3, 2, 1, 0]] * _QUATERNION_SIGNS,
+        quaternions=np.ascontiguousarray(gaussians.quaternions[:, ::-1]) * _QUATERNION_SIGNS,
         sh=gaussians.sh * _SH_FLIP[: gaussians.sh.shape[1], None],
     )
 

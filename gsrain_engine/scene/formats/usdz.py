@@ -39,7 +39,7 @@ _LONGEST_S = 1800.0  # time in which a stage must be read
 _SPARE_BYTES = 2**32  # of address space that USD takes without use
 _SIMILAR = 1e-4  # relative difference between the scales of a prim's axes
 _TO_USD_CAMERA = np.diag([1.0, -1.0, -1.0, 1.0])  # OpenCV's camera (y down, z forward) to USD's (y up, z back)
-_FILM_MM = 36.0
+_FILM = 0.36  # width of a film of 36 mm in tenths of the stage's unit, the meter, as USD's cameras have it
 _UPS = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
 
 
@@ -371,12 +371,12 @@ def _write_camera(stage: Any, path: str, camera: RigCamera) -> None:
     node = UsdGeom.Camera.Define(stage, path)
     node.GetPrim().SetDisplayName(camera.name)
     node.AddTransformOp().Set(Gf.Matrix4d((camera.camera_to_ego @ _TO_USD_CAMERA).T.tolist()))
-    pixel_mm = _FILM_MM / camera.width
-    node.CreateFocalLengthAttr().Set(camera.fx * pixel_mm)
-    node.CreateHorizontalApertureAttr().Set(_FILM_MM)
-    node.CreateVerticalApertureAttr().Set(camera.height * pixel_mm * camera.fx / camera.fy)
-    node.CreateHorizontalApertureOffsetAttr().Set((camera.width / 2 - camera.cx) * pixel_mm)
-    node.CreateVerticalApertureOffsetAttr().Set((camera.cy - camera.height / 2) * pixel_mm)
+    pixel = _FILM / camera.width
+    node.CreateFocalLengthAttr().Set(camera.fx * pixel)
+    node.CreateHorizontalApertureAttr().Set(_FILM)
+    node.CreateVerticalApertureAttr().Set(camera.height * pixel * camera.fx / camera.fy)
+    node.CreateHorizontalApertureOffsetAttr().Set((camera.width / 2 - camera.cx) * pixel)
+    node.CreateVerticalApertureOffsetAttr().Set((camera.cy - camera.height / 2) * pixel)
     node.CreateClippingRangeAttr().Set(Gf.Vec2f(0.05, 10_000.0))
     values = [camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy]
     node.GetPrim().CreateAttribute("gsrain:intrinsics", Sdf.ValueTypeNames.DoubleArray).Set(values)

@@ -47,6 +47,7 @@ def assert_valid(found: Gaussians) -> None:
     for values in found.arrays:
         assert values.dtype == np.float32, f"holds {values.dtype}"
         assert np.isfinite(values).all(), "holds numbers that are not finite"
+        assert values.flags.c_contiguous and values.flags.writeable, "can't be sorted in place"
     assert (found.scales >= 0).all(), "holds a scale below 0"
     assert ((found.opacities >= 0) & (found.opacities <= 1)).all(), "holds an opacity outside 0..1"
     assert np.allclose(np.linalg.norm(found.quaternions, axis=1), 1, atol=1e-5), "holds a quaternion that is not unit"

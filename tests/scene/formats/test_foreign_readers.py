@@ -242,8 +242,10 @@ def test_usd_itself_finds_layers_tracks_and_cameras(tmp_path: Path) -> None:
         np.testing.assert_allclose(
             np.array(cache.GetLocalToWorldTransform(prim)).T, scene.scene_to_world @ pose, atol=1e-9
         )
-    lens = UsdGeom.Camera.Get(stage, "/World/ego/waymo/FRONT").GetCamera().frustum
-    right = np.array(lens.ComputeProjectionMatrix())
+    camera = UsdGeom.Camera.Get(stage, "/World/ego/waymo/FRONT").GetCamera()
+    film_m, focal_m = camera.horizontalAperture * camera.APERTURE_UNIT, camera.focalLength * camera.FOCAL_LENGTH_UNIT
+    np.testing.assert_allclose([film_m, focal_m], [0.036, 0.036 * 2059 / 1920], rtol=1e-6)
+    right = np.array(camera.frustum.ComputeProjectionMatrix())
     np.testing.assert_allclose([right[0, 0], right[1, 1]], [2 * 2059 / 1920, 2 * 2058.5 / 1280], rtol=1e-6)
     # The principal point is 3 px left of the middle.
     np.testing.assert_allclose(right[2, :2], [2 * 3 / 1920, 0], atol=1e-6)

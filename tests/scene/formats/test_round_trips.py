@@ -26,10 +26,12 @@ from gsrain_engine.scene.open import load_sorted_scene
 
 from .sample_files import (
     BLOCK,
+    SMALL_FILES,
     assert_valid,
     ksplat,
     old_spz,
     sample_gaussians,
+    write_small,
     written,
 )
 from .test_layouts import columns_of, write_text
@@ -192,15 +194,20 @@ def test_extreme_values_survive(tmp_path: Path) -> None:
     np.testing.assert_allclose(read_gaussians(tmp_path / "a.spz").means, far.means, atol=2)
 
 
-# Real files
-
-
 def check_opened(path: Path) -> None:
     """Assert that a file is opened in drawing order, as the window does."""
     (layer,) = load_sorted_scene(str(path)).layers
     read = read_gaussians(path)
     for found, array in zip(layer.gaussians.arrays, read.take(lod_order(read)).arrays, strict=True):
         np.testing.assert_array_equal(found, array)
+
+
+@pytest.mark.parametrize("name", SMALL_FILES)
+def test_every_format_opens_in_drawing_order(name: str, tmp_path: Path) -> None:
+    check_opened(write_small(name, tmp_path))
+
+
+# Real files
 
 
 @pytest.mark.parametrize(
