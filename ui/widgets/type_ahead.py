@@ -51,7 +51,7 @@ def is_menu_open() -> bool:
 
 def has_keys() -> bool:
     """Return whether a menu or list is open, or was in the last frame: a key closed it, or goes to the next menu."""
-    return is_menu_open() or imgui.get_frame_count() - _typed.open_frame <= 1
+    return is_menu_open() or imgui.get_frame_count() - _typed.open_frame in (0, 1)
 
 
 def install_type_ahead() -> None:
