@@ -138,7 +138,9 @@ class Driver:
         self.frames()
 
     def tap(self, item):
-        """Click an item of a window that is in front."""
+        """Click an item of a window that is in front, as a hand does: first it gets there."""
+        self.ctx.mouse_move(item)
+        self.ctx.yield_()
         self.ctx.item_click(item)
         self.actions += 1
         self.frames(3)

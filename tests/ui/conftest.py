@@ -1,6 +1,12 @@
-"""Fixture of the tests of the window."""
+"""Fixtures of the tests of the window."""
 
 import pytest
+
+
+@pytest.fixture(autouse=True)
+def _default_preferences(tmp_path, monkeypatch):
+    """Which panels were in front or hidden in the window of another test doesn't count."""
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
 
 
 @pytest.fixture
