@@ -5,7 +5,7 @@ import pytest
 
 @pytest.fixture(autouse=True)
 def _default_preferences(tmp_path, monkeypatch):
-    """Which panels were in front or hidden in the window of another test doesn't count."""
+    """Give each test the default preferences, not those that the window of another one has stored."""
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
 
 

@@ -112,7 +112,7 @@ class LiveTrees:
             self._wet[key] = wet_sh, average_below(tree, wet_sh)
         return self._wet[key][1]
 
-    def mostly(self, tree: LodTree, mask: BitMask, role: _Role) -> Bool[np.ndarray, " m"]:
+    def majority(self, tree: LodTree, mask: BitMask, role: _Role) -> Bool[np.ndarray, " m"]:
         """Flags of a tree's nodes with more than half of their weight in a mask of its Gaussians."""
         key = IdentityKey(tree.gaussians), role
         if key not in self._masks or self._masks[key][0] is not mask:
@@ -201,8 +201,8 @@ class LiveCut:
         leaves, nodes = cut_lod_tree(tree, camera, part.to_world, self.error_px, in_order=False)
         if part.left_out:
             leaves = leaves[~part.left_out.flags[leaves]]
-            nodes = nodes[~self.trees.mostly(tree, part.left_out, "left out")[nodes]]
-        selected = part.selected and BitMask.of(self.trees.mostly(tree, part.selected, "selected"))
+            nodes = nodes[~self.trees.majority(tree, part.left_out, "left out")[nodes]]
+        selected = part.selected and BitMask.of(self.trees.majority(tree, part.selected, "selected"))
         wet_sh = self.trees.merged_wet_sh(tree, part.wet_sh) if part.is_wet and part.wet_sh is not None else None
         own = part._replace(members=leaves, left_out=None, tree=None)
         return [own, own._replace(gaussians=tree.nodes, members=nodes, wet_sh=wet_sh, selected=selected)]
