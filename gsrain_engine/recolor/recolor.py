@@ -424,15 +424,10 @@ def wet_scene(scene: Scene, settings: WetSettings | None = None) -> Generator[Pr
 
     Where ground is found, the scene gets a map of its water, and wet colors without reflections: the mirror adds them.
     """
-    from ..appearance.wet_look.environment import SceneEnvironment  # loads slow parts of scipy
-    from ..appearance.wet_look.water_map import find_water
+    from ..appearance.wet_look.water_map import with_water  # loads slow parts of scipy
     from ..appearance.wet_look.wet_gaussians import wet_gaussian_colors
 
     yield Progress(0.0, "Finding the ground, and the water that it holds")
-    environment = SceneEnvironment(scene)
-    if scene.water is None:
-        scene = replace(scene, water=find_water(scene, environment))
-    has_ground = scene.water is not None or scene.ground_m is not None  # a single object has none
-    heights = environment.heights if has_ground else None
+    scene, heights = with_water(scene)
     colors = yield from wet_gaussian_colors(scene, settings or WetSettings(), heights)
     return with_colors(scene, colors)

@@ -19,7 +19,6 @@ from ...scene.progress import Progress, subprogress
 from ...scene.scene import Actor, Layer, Scene, SceneCore, core_bounds, is_sky
 from ...scene.street.lighting import NIGHT, overcast_share
 from ...scene.street.night import LAMP_REACH_M, facing_share
-from ..wet_look.environment import SceneEnvironment
 from ..wet_look.gaussian_surfaces import (
     BLOCK,
     Colors,
@@ -36,7 +35,7 @@ from ..wet_look.illumination import DARKEST_EV, IlluminationEstimate, is_gray, o
 from ..wet_look.masks import smoothstep
 from ..wet_look.materials import MEAN_REFLECTANCE, WHITE, lamp_share, wet_surfaces_color
 from ..wet_look.settings import WetSettings
-from ..wet_look.water_map import find_water
+from ..wet_look.water_map import with_water
 from ..wet_look.wet_gaussians import changed_harmonics, row_of
 from .lamp_shadows import OpacityGrid
 from .lanterns import bulbs, default_lamps
@@ -65,11 +64,7 @@ def night_scene(scene: Scene, lamps: Sequence[Lamp] | None = None) -> Generator[
     if is_dark(scene):
         raise ValueError(f"scene {scene.name!r} is dark already: it can't be relit as by night")
     yield Progress(0.0, "Finding the ground, and the water that it holds")
-    environment = SceneEnvironment(scene)
-    if scene.water is None:
-        scene = replace(scene, water=find_water(scene, environment))
-    has_ground = scene.water is not None or scene.ground_m is not None  # a single object has none
-    heights = environment.heights if has_ground else None
+    scene, heights = with_water(scene)
     surfaces = yield from subprogress(find_surfaces(scene, heights), 0.1, 0.45)
     core = _core(scene)
     shining, bodies = list(lamps if lamps is not None else scene.lamps), None

@@ -36,6 +36,15 @@ def with_water_map(scene: Scene) -> Scene:
     return replace(scene, water=find_water(scene))
 
 
+def with_water(scene: Scene) -> tuple[Scene, GroundHeights | None]:
+    """Return a scene with the map of its water, found where it has none, and its ground's heights; None without one."""
+    environment = SceneEnvironment(scene)
+    if scene.water is None:
+        scene = replace(scene, water=find_water(scene, environment))
+    has_ground = scene.water is not None or scene.ground_m is not None  # a single object has none
+    return scene, environment.heights if has_ground else None
+
+
 def find_water(scene: Scene, surroundings: SceneEnvironment | None = None, seed: int = 0) -> GroundWater | None:
     """Find the ground of a scene, and the water that it holds when fully wet; None without ground.
 
