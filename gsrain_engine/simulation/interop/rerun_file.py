@@ -8,8 +8,8 @@ from typing import Any
 import cv2
 import msgspec
 import numpy as np
+import scipy
 from jaxtyping import Float32, Float64, Int64, UInt8
-from scipy.spatial import cKDTree
 
 from ...scene.files import whole_file
 from ...scene.gaussians import SH_C0
@@ -193,7 +193,7 @@ def scene_points(
         [each.means @ part.to_world[:3, :3].T + part.to_world[:3, 3] for each, part in zip(kept, parts, strict=True)]
     )
     areas = np.concatenate([each.opacities for each in kept]) * scales[:, 1] * scales[:, 2]
-    distances, _ = cKDTree(places_m).query(means[:, :2], distance_upper_bound=_NEAR_M)
+    distances, _ = scipy.spatial.cKDTree(places_m).query(means[:, :2], distance_upper_bound=_NEAR_M)
     areas[~np.isfinite(distances)] = 0
     ordered = np.argsort(-areas, kind="stable")[: min(MOST_POINTS, np.count_nonzero(areas))]
     chosen: Int64[np.ndarray, " m"] = np.sort(ordered)
