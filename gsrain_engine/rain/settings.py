@@ -51,7 +51,7 @@ STREAK_REGION = RegionBox(minimum_m=(-1.0, -3.0, -1.5), maximum_m=(5.0, 3.0, 4.5
 HAZE_REGION = RegionBox(minimum_m=(-10.0, -10.0, -1.5), maximum_m=(60.0, 10.0, 20.5))
 
 
-class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, repr_omit_defaults=True):
     """Rain parameters. The defaults are physical; docs/physics.md gives the reason for each."""
 
     # fmt: off
