@@ -7,6 +7,7 @@ import pytest
 from imgui_bundle import icons_fontawesome_6
 from msgspec.structs import replace
 
+from ui.widgets import file_dialogs
 from ui.widgets.file_dialogs import (
     FileKind,
     FileRequest,
@@ -149,14 +150,16 @@ def test_the_desktops_dialog_is_used_where_it_has_one(driver, folder, tmp_path, 
     program.write_text(f'#!/bin/sh\necho "$@" > {tmp_path}/arguments\necho {folder}/clip\n')
     program.chmod(0o755)
     monkeypatch.setenv("PATH", f"{tmp_path / 'bin'}{os.pathsep}{os.environ['PATH']}")
+    monkeypatch.setattr(file_dialogs, "_dialogs", type(file_dialogs._dialogs)())  # the first dialog
 
     def script():
+        driver.editor.files.recent = [folder / "apple.ply"]
         driver.editor.preferences.value = replace(driver.editor.preferences.value, desktop_dialogs=True)
         answers = []
         ask_where_to_save("Save it", "MP4{.mp4}", answers.extend, proposed="street.mp4")
         driver.until(lambda: answers)
         assert answers == [folder / "clip.mp4"]
         arguments = (tmp_path / "arguments").read_text()
-        assert "--save" in arguments and "street.mp4" in arguments and "*.mp4" in arguments
+        assert "--save" in arguments and str(folder / "street.mp4") in arguments and "*.mp4" in arguments
 
     driver.run(script)

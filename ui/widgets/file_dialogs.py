@@ -157,12 +157,12 @@ class _FileDialogs:
             return
         request = self._requests[0]
         if self._browser is None and self._desktop is None:
-            folder = self._start(request)
+            opened = [path.parent for path in recent]
+            folder = self._start(request, opened)
             if use_desktop and desktop_dialog_program() is not None:
                 self._desktop = _desktop_dialog(request, folder)
             else:
-                used = [path.parent for path in recent] + list(self._folders.values())
-                self._browser = FileBrowser(request, folder, used)
+                self._browser = FileBrowser(request, folder, opened + list(self._folders.values()))
         chosen = self._browser.draw() if self._browser is not None else _desktop_answer(request, self._desktop)
         if chosen is None:
             return
@@ -175,11 +175,15 @@ class _FileDialogs:
             except OSError as error:
                 status.report(error)
 
-    def _start(self, request: FileRequest) -> Path:
-        """Folder in which a dialog begins: its own last one, else the last one of all, else the working directory."""
-        last = self._folders.get(request.title, self._folders.get("", None))
-        if last is not None and last.is_dir():
-            return last
+    def _start(self, request: FileRequest, opened: Sequence[Path]) -> Path:
+        """Folder in which a dialog begins: its own last one, else the last one of all.
+
+        For the first dialog that of the scene opened last, else the working directory.
+        """
+        last = [self._folders[title] for title in (request.title, "") if title in self._folders][:1]
+        for folder in (*last, *opened[:1]):
+            if folder.is_dir():
+                return folder
         try:
             return Path.cwd()
         except OSError:  # it was removed
