@@ -110,7 +110,9 @@ def guess_orientation(scene: Scene) -> Scene:
         if score > 0 or ground.share > _PART:
             candidates.append((_PREFERENCE * score if turned is scene else score, turned))
     if not candidates:
-        raise ValueError("No ground was found below any axis: level the scene by three points (tool Level).")
+        raise ValueError(
+            "No ground was found below any axis: choose Up and Ground, or level by three points (tool Level)."
+        )
     leveled = level_from_ground(max(candidates, key=lambda each: each[0])[1])
     try:
         return set_camera_height(leveled, _CAMERA_HEIGHT_M) if scene.unit_is_assumed else leveled
