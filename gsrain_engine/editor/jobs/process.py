@@ -127,7 +127,7 @@ def _death(exit_code: int | None) -> str:
     if exit_code is not None and exit_code == -getattr(signal, "SIGKILL", 9):
         return f"the worker was killed: by hand, or because {_OUT_OF_MEMORY}"
     if exit_code is None:
-        return "the worker closed its pipe, but goes on"
+        return "the pipe to the worker broke, though its process goes on"
     if exit_code >= 0:
         return f"the worker died (exit code {exit_code})"
     try:
