@@ -1,5 +1,6 @@
 """Tools "Move", "Level", "Set origin" and "Measure"."""
 
+import logging
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -21,6 +22,7 @@ from ..widgets.fields import button
 from ..widgets.text import inline_text
 from .base import Tool, clicked_point, drag_number
 
+logger = logging.getLogger("gsrain")
 Point = Float64[np.ndarray, "3"]
 
 
@@ -167,6 +169,7 @@ class OriginTool(Tool):
         point = clicked_point(self._document, canvas)
         if point is None:
             return False
+        logger.info("%s: x %.2f, y %.2f, z %.2f m", self.meaning, *point)
         if self.meaning == "Ego start":
             self._document.edit("Ego start", set_ego_start, point, self._viewport.navigation.heading)
         elif self.meaning == "Ground height":
