@@ -195,7 +195,7 @@ _MODES: dict[Mode, str] = {"picture": "that view, warped", "difference": "differ
 def matching_fields(matching: MatchingController) -> None:
     matching.is_on = checkbox(
         "Show matches", matching.is_on,
-        "Find each pixel in another view, by its depth (eq. 13-15): for the recorded view at whose pose the camera "
+        "Find each pixel in another view, by its depth: for the recorded view at whose pose the camera "
         "is,\nelse for the live view of a scene that was made from the capture (Shift+M).",
     )  # fmt: skip
     with disabled(not matching.is_on):
