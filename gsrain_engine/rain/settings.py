@@ -129,8 +129,8 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     diameter_scale: Annotated[float, Meta(
         ge=0.25, le=4, title="Drop size factor", extra={
             "group": "Physics", "scale": "log", "commands": "render, disdrometer, drive"},
-        description="Multiplies all diameters. If the rain rate gives the number of drops, fewer large or more small ones "
-        "give the same mm/h.")] = 1.0
+        description="Multiplies all diameters. If the rain rate gives the number of drops, fewer large or more "
+        "small ones give the same mm/h.")] = 1.0
     velocity: Annotated[Literal["calibration", "atlas"], Meta(
         title="Fall speed", extra={"group": "Physics"},
         description="Fall speed by diameter: the calibration's fit, or Atlas et al. (1973).")] = "calibration"
@@ -168,16 +168,18 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         title="Haze Gaussians", extra={"ge": 0, "le": 200_000},
         description="M: none takes as many as the extinction needs, and splits them up to be smooth.")] = None
     haze_gain: Annotated[float, Meta(
-        ge=0, le=50, title="Haze gain", extra={"unit": "x", "group": "Appearance", "slider_to": 10.0, "commands": "render"},
+        ge=0, le=50, title="Haze gain",
+        extra={"unit": "x", "group": "Appearance", "slider_to": 10.0, "commands": "render"},
         description="Multiplies the extinction; 1 is physical.")] = 1.0
     streak_gain: Annotated[float, Meta(
         ge=0, le=50, title="Streak gain",
         extra={"unit": "x", "group": "Appearance", "slider_to": 10.0, "commands": "render, evaluate streaks"},
         description="Multiplies the streaks' opacity; 1 is physical.")] = 1.0
     sensor: Annotated[str | None, Meta(
-        title="Camera model", extra={"group": "Camera", "commands": "render, drive, evaluate detection, evaluate streaks"},
-        description="Sensor and lens: automotive, pinhole, rainsense, waymo_front, or a sensor file. Without one, drops "
-        "get lens and readout of automotive; a chosen one also sets exposure, noise, tone curve and JPEG.")] = None
+        title="Camera model",
+        extra={"group": "Camera", "commands": "render, drive, evaluate detection, evaluate streaks"},
+        description="Sensor and lens: automotive, pinhole, rainsense, waymo_front, or a sensor file. Without one, "
+        "drops get lens and readout of automotive; one also sets exposure, noise, tone curve and JPEG.")] = None
     aperture_mm: Annotated[float | None, Meta(
         title="Aperture",
         extra={"unit": "mm", "ge": 0.0, "le": 50.0, "group": "Camera", "slider_to": 10.0, "none": "the sensor's",
@@ -220,7 +222,8 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         description="Lamps that light drops and medium: none, auto (found as bright spots of a dark scene), headlights "
         "(of all vehicles, and the scene's fixed lamps), or a file. Default: the scene's own.")] = None
     lamp_gain: Annotated[float, Meta(
-        ge=0, le=MAX_LAMP_GAIN, title="Lamp brightness", extra={"unit": "x", "group": "Lamps", "slider_to": 2.0, "commands": "render"},
+        ge=0, le=MAX_LAMP_GAIN, title="Lamp brightness",
+        extra={"unit": "x", "group": "Lamps", "slider_to": 2.0, "commands": "render"},
         description="Multiplies the light of all lamps; 0 switches them off.")] = 1.0
     wetness: Annotated[float | None, Meta(
         title="Wetness", extra={"ge": 0.0, "le": 1.0, "commands": "render"},

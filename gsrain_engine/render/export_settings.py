@@ -61,7 +61,8 @@ class ExportSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
         description="So many sub-frames over the exposure, averaged in linear light. 1 is none.")] = 1
     cameras: Annotated[tuple[str, ...], Meta(
         title="Cameras", extra={"commands": "render"},
-        description="Rig cameras (RIG, RIG/NAME, NAME, or all); each gets a file of its own. Without one, the camera path.")] = ()
+        description="Rig cameras (RIG, RIG/NAME, NAME, or all); each gets a file of its own. Without one, the camera "
+        "path.")] = ()
     passes: Annotated[tuple[Pass, ...], Meta(
         min_length=1, title="Passes", extra={"commands": "render"},
         description="color; depth (16 bit, cm); alpha (8 bit); labels: which layer or actor a pixel shows.",

@@ -59,8 +59,8 @@ class ScenarioUser(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     ] = 0.0  # fmt: skip
     turned_deg: Annotated[
         float,
-        Meta(ge=-180, le=180, title="Heading offset", description="To the left, from the route's direction; straight: from "
-             "the ego vehicle's.", extra={"unit": "deg"}),
+        Meta(ge=-180, le=180, title="Heading offset", description="To the left, from the route's direction; "
+             "straight: from the ego vehicle's.", extra={"unit": "deg"}),
     ] = 0.0  # fmt: skip
     speed_m_s: Annotated[float, Meta(ge=0, le=60, title="Speed", extra={"unit": "m/s"})] = 0.0
     behaviour: BehaviorSettings
@@ -108,9 +108,9 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         "water, which agents don't know.")] = "dry"  # fmt: skip
     vehicle: Vehicle = Vehicle()
     controller: ControllerSettings = ControllerSettings()
-    step_s: Annotated[float, Meta(gt=0, le=1, title="Time step", description="HUGSIM's is 0.25 s.", extra={"unit": "s"})] = (
-        0.25
-    )
+    step_s: Annotated[
+        float, Meta(gt=0, le=1, title="Time step", description="HUGSIM's is 0.25 s.", extra={"unit": "s"})
+    ] = 0.25
     duration_s: Annotated[float, Meta(
         gt=0, le=600, title="Max. duration", extra={"unit": "s", "commands": "drive"},
         description="The drive ends then at the latest.")] = 15.0  # fmt: skip

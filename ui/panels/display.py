@@ -24,7 +24,10 @@ def display_panel(viewport: ViewportState, preferences: PreferencesStore) -> Non
     view.gain_ev = number("Display gain (EV)", "gain", view.gain_ev, -3, 3, "%.1f", help_text)
     plain_label("Resolution", "Draw fewer pixels while tuning; the rain has the same drops.")
     view.shrink = combo("##resolution", view.shrink, _SHRINKS)
-    plain_label("Color precision", "Of colors on the GPU: fewer bits take less memory and, in large scenes, less time per frame.")
+    plain_label(
+        "Color precision",
+        "Of colors on the GPU: fewer bits take less memory and, in large scenes, less time per frame.",
+    )
     with disabled(not viewport.backend.startswith("opengl")):
         view.harmonics = combo("##harmonics", view.harmonics, _STORAGES)
     plain_label("While moving", "Draw less while the camera moves or rain plays, to hold this time; exact at rest.")
@@ -61,7 +64,11 @@ def statistics_panel(viewport: ViewportState) -> None:
     else:
         imgui.text_colored(WARNING, f"while something moves: {viewport.detail}")
     rows = [
-        (f"{name[0].upper()}{name[1:]}".replace(" ms", " (ms)"), f"{value:,.{0 if float(value).is_integer() else 2}f}", "Of the last frame.")
+        (
+            f"{name[0].upper()}{name[1:]}".replace(" ms", " (ms)"),
+            f"{value:,.{0 if float(value).is_integer() else 2}f}",
+            "Of the last frame.",
+        )
         for name, value in viewport.statistics.items()
     ]
     readings("statistics", rows)

@@ -212,7 +212,7 @@ def _sensor(document: Document, viewport: ViewportState, live_rain: LiveRain, st
     simulation, camera = live_rain.simulation, viewport.shot(960, 640).camera
     sensor, lens = simulation.sensor, simulation.lens(camera)
     rows = [("Exposure", f"{1e3 * simulation.exposure_s(camera):.2f} ms", "Exposure time of drops.")]
-    rows.append(("Aperture", f"{1e3 * lens.aperture_m:.2f} mm", "Diameter of the lens opening: focal length / f-number."))
+    rows.append(("Aperture", f"{1e3 * lens.aperture_m:.2f} mm", "Diameter of the lens: focal length / f-number."))
     if lens.aperture_m:
         rows.append(("Focus distance", f"{lens.focus_m:.2f} m", "Distance that is sharp."))
     if sensor.readout_s:
@@ -325,7 +325,7 @@ def _drop_color(document: Document, viewport: ViewportState, live_rain: LiveRain
     imgui.same_line()
     help_text = "Use the mean color of the scene's sky in linear light, the default."
     if button("From sky", help_text, enabled=own is not None):
-        document.change_rain("Drop color from the sky", drop_color=None)
+        document.change_rain("Drop color from sky", drop_color=None)
 
 
 # Rain properties panel: quantities derived from the intensity

@@ -92,7 +92,10 @@ def _buttons(editor: Editor) -> None:
     present = document.keyframes.key_at(now_s)
     is_here = present is not None and present.intensity_mm_h is not None
     action = "Remove the keyframe" if is_here else "Insert a keyframe of the present intensity"
-    if button("Remove intensity keyframe###now" if is_here else "Insert intensity keyframe###now", f"{action} at {now_s:.2f} s."):
+    if button(
+        "Remove intensity keyframe###now" if is_here else "Insert intensity keyframe###now",
+        f"{action} at {now_s:.2f} s.",
+    ):
         toggle_keyframe(document, editor.viewport, playback, "intensity_mm_h")
     _same_line_if_fits("Add passing shower")
     if button("Add passing shower", help_of("Add passing shower")):

@@ -592,7 +592,7 @@ def _path_numbers(editor: Editor, path: CameraPath | None) -> None:
         _label("Curve, easing", "Interpolation between keyframes, and easing.")
         half = 0.5 * imgui.get_content_region_avail().x - 3
         imgui.set_next_item_width(half)
-        help_text = "Interpolation. spline: smooth through all keyframes. linear: straight, at constant speed between keyframes."
+        help_text = "spline: smooth through all keyframes. linear: straight, at constant speed between keyframes."
         _choice(camera_path, "Interpolation", "interpolation", get_args(Interpolation), displayed, help_text)
         imgui.same_line(spacing=6)
         imgui.set_next_item_width(half)
@@ -608,7 +608,7 @@ def _path_numbers(editor: Editor, path: CameraPath | None) -> None:
         imgui.same_line(spacing=6)
         help_text = "Continue from the last keyframe to the first, in the mean time of the other intervals."
         if (loop := checkbox("Closed###loop", displayed.loop, help_text)) != displayed.loop:
-            camera_path.change_path("Close path" if loop else "Open path", loop=loop)
+            camera_path.change_path("Closed path on" if loop else "Closed path off", loop=loop)
     speed, t = speed_of(viewport.path), editor.playback.clock.time_s
     ego = ego_speed_km_h(editor.rollouts.displayed_scene, t)
     now = 3.6 * float(np.linalg.norm(viewport.path.velocity(t)))

@@ -174,7 +174,9 @@ def _result(document: Document, viewport: ViewportState, live_rain: LiveRain, we
     fields.slider(document, "intensity_mm_h", high=high, label="Scene rain (mm/h)")
     wetness_fields(document, live_rain, label="Scene wetness")
     is_compared = viewport.options.split == "clear | rainy"
-    title = f"{_ICONS.ICON_FA_TABLE_COLUMNS}  {'Stop comparing' if is_compared else 'Compare clear and rainy'}###compare"
+    title = (
+        f"{_ICONS.ICON_FA_TABLE_COLUMNS}  {'Stop comparing' if is_compared else 'Compare clear and rainy'}###compare"
+    )
     why_not = None if is_compared else wet_look.why_no_comparison
     if button(title, _COMPARE_HELP, width=-1, why_not=why_not):
         if is_compared:

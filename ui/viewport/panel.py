@@ -190,7 +190,9 @@ def view_bar(editor: Editor) -> None:
             act()
         imgui.same_line()
     _, editor.viewport.options.follow_path = imgui.checkbox("Follow path", editor.viewport.options.follow_path)
-    imgui.set_item_tooltip("Follow the camera path: your own keyframes, else the recording vehicle's drive, or a swing (V).")
+    imgui.set_item_tooltip(
+        "Follow the camera path: your own keyframes, else the recording vehicle's drive, or a swing (V)."
+    )
     imgui.same_line()
     for field, title, choices, width_em, help_text in (
         ("look", "Mode", RENDER_MODE_HELP, 9, "Render mode of the viewport."),

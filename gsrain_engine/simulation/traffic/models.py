@@ -141,7 +141,13 @@ class CutIn(Triggered, frozen=True, kw_only=True, forbid_unknown_fields=True, ta
     ] = 0.0  # fmt: skip
     acceleration_m_s2: Annotated[
         float,
-        Meta(gt=0, le=20, title="Acceleration", description="To that speed, or braking to it.", extra={"unit": "m/s\u00b2"}),
+        Meta(
+            gt=0,
+            le=20,
+            title="Acceleration",
+            description="To that speed, or braking to it.",
+            extra={"unit": "m/s\u00b2"},
+        ),
     ] = 2.0
 
     def begin(self, scene: Scene, start_s: float) -> Behavior:

@@ -121,7 +121,7 @@ def test_the_job_of_the_window_is_one_step_that_can_be_repeated(yard):
         job.wait(60)
         settle(editor)
         document = editor.document
-        assert (job.progress.message, document.history.labels[1:]) == ("Lit by 1 lamp", ["Relight as by night"])
+        assert (job.progress.message, document.history.labels[1:]) == ("Lit by 1 lamp", ["Relight for night"])
         (step,) = steps_since(document.history, document.history.steps[0].document)
         made = document.scene.member("layers/all")
     again = apply_steps(replace(yard, lamps=(LAMP,)), [EditStep.parse(step.text)])
