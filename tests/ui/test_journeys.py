@@ -167,7 +167,7 @@ def a_shower_added(driver):
 @journey(3, folded=3)
 def a_calibration_fitted(driver):
     lab = driver.editor.calibration
-    driver.tap(f"{driver.panel('Rain calibration')}Fit to measurements...")
+    driver.tap(f"{driver.panel('Calibration')}Fit to measurements...")
     driver.choose_file("Disdrometer files of one instrument", driver.folder / "rain.nc")
     driver.until(lambda: lab.fitted is not None)
     assert lab.error is None and lab.fitted.records_used > 10

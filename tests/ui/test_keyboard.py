@@ -86,7 +86,7 @@ def test_menus_and_lists_are_used_by_the_keyboard(driver):
             driver.press(key)
         driver.press(KEY.enter)
         driver.frames(3)
-        assert options.show_selection != was_on and document.history.labels == ["Opened", "Haze", "Haze"]
+        assert options.show_selection != was_on and document.history.labels == ["Opened", "Haze model", "Haze model"]
         driver.click_at(view_menu)
         driver.press(KEY.k)  # alone, it inserts a keyframe
         driver.press(KEY.escape)

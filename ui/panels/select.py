@@ -9,7 +9,7 @@ from gsrain_engine.editor.selection.candidates import Mode, selectable_count, se
 from gsrain_engine.editor.selection.commands import SelectionTool, unused_set_name
 from gsrain_engine.editor.viewport_state import ViewportState
 
-from ..widgets.fields import LOGARITHMIC, button, checkbox, combo, disabled
+from ..widgets.fields import LOGARITHMIC, button, checkbox, combo, disabled, share_of_width
 from ..widgets.numbers import slide
 from ..widgets.text import label
 
@@ -157,10 +157,11 @@ def _attribute_range(document: Document, viewport: ViewportState, selection: Sel
             ", ".join(name for number, name in layer_names(document.scene).items() if low <= number <= high)
         )
         imgui.pop_text_wrap_pos()
+    half = share_of_width(2)
     for mode, (title, help_text) in _RANGE_HELP.items():
-        if mode != "set":
+        if mode in ("add", "intersect"):
             imgui.same_line()
-        if button(f"{title}##range", help_text):
+        if button(f"{title}##range", help_text, width=half):
             limits = histogram.opened(low, high)
             view = shot.time_s, shot.camera
             selection.select(mode, attribute, select_attribute_range, *view, attribute, *limits)

@@ -614,8 +614,9 @@ def _path_numbers(editor: Editor, path: CameraPath | None) -> None:
     now = 3.6 * float(np.linalg.norm(viewport.path.velocity(t)))
     imgui.text(f"{speed.length_m:.1f} m, {speed.mean_km_h:.0f} km/h, at most {speed.fastest_km_h:.0f} km/h")
     imgui.set_item_tooltip("Length, mean speed and maximum speed of the path.")
-    imgui.text(f"Now {now:.1f} km/h" + (f"   recording vehicle {ego:.1f} km/h" if ego is not None else ""))
-    imgui.set_item_tooltip("Speed of the path camera, and of the recording vehicle, at the present time.")
+    vehicle = "recording vehicle" if editor.rollouts.playing is None else "ego vehicle"
+    imgui.text(f"Now {now:.1f} km/h" + (f"   {vehicle} {ego:.1f} km/h" if ego is not None else ""))
+    imgui.set_item_tooltip(f"Speed of the path camera, and of the {vehicle}, at the present time.")
     if speed.warning is not None:
         with text_color(_TOO_FAST):
             imgui.text_wrapped(speed.warning)

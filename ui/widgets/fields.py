@@ -34,11 +34,12 @@ def field_label(name: str, owner: type[msgspec.Struct] = RainSettings, *, label:
 
 def plain_label(text: str, help_text: str) -> None:
     """Draw a label with a tooltip, and move to the position of its widget."""
+    indent = imgui.get_cursor_pos_x() - imgui.get_cursor_start_pos().x
     imgui.align_text_to_frame_padding()
     imgui.text(text)
     if help_text:
         imgui.set_item_tooltip(help_text)
-    width = imgui.calc_text_size(text).x + imgui.get_font_size()
+    width = indent + imgui.calc_text_size(text).x + imgui.get_font_size()
     imgui.same_line(max(_LABEL_WIDTH * imgui.get_window_width(), width))
     imgui.set_next_item_width(-1)
 
@@ -150,7 +151,9 @@ def edit_field(settings: _Settings, name: str, *, label: str | None = None, step
                 return msgspec.structs.replace(settings, **{name: value}) if switched else settings
         if info.choices:
             choices = (None, *info.choices) if info.is_optional else info.choices
-            names = [str(info.extra.get("none", "none")) if each is None else each for each in choices]
+            names = [
+                str(info.extra.get("none", "none")) if each is None else info.choice_title(each) for each in choices
+            ]
             changed, at = combo_box(f"##{name}", choices.index(value), names)
             value = choices[at]
         elif isinstance(value, int):
