@@ -41,7 +41,7 @@ from ..widgets.fields import (
 )
 from ..widgets.file_dialogs import ask_what_to_open
 from ..widgets.numbers import compass, compass_name, slide
-from ..widgets.text import readings
+from ..widgets.text import readings, same_line_if_fits
 from ..widgets.type_ahead import combo_box
 from .glass import glass_fields
 from .lamps import lamp_fields
@@ -160,10 +160,10 @@ def _intensity(document: Document, viewport: ViewportState, playback: Playback, 
         if not beyond and intensity > CALIBRATED_UP_TO_MM_H:
             document.change_rain("Intensity", intensity_mm_h=CALIBRATED_UP_TO_MM_H)
     if intensity > 0:
-        imgui.same_line()
+        same_line_if_fits(rain_class(intensity))
         imgui.text(rain_class(intensity))
     if live_rain.displayed.state_at(playback.clock.time_s).beyond_calibration:
-        imgui.same_line()
+        same_line_if_fits("beyond calibration")
         imgui.text_colored(WARNING, "beyond calibration")
 
 
