@@ -20,11 +20,15 @@ class FinetuneChoice(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         "tiny"
     )
     clear: Annotated[
-        Path | None, Meta(title="Clear pictures", description="Folder or capture; none: those that the settings name.")
+        Path | None,
+        Meta(title="Clear pictures", description="Folder or capture; without one, as in the settings."),
     ] = None
     rainy: Annotated[
         Path | None,
-        Meta(title="Rainy pictures", description="Folder or capture, of other places; none: those of the settings."),
+        Meta(
+            title="Rainy pictures",
+            description="Folder or capture, of other places; without one, as in the settings.",
+        ),
     ] = None
     output: Annotated[
         Path | None, Meta(title="Output", description="Folder for weights, checkpoint, losses and sample pictures.")

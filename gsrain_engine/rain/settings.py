@@ -62,8 +62,8 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     exposure_s: Annotated[float | None, Meta(
         title="Exposure", extra={
             "unit": "s", "ge": 1e-5, "le": 1.0, "commands": "render, drive, evaluate detection"},
-        description="Exposure time T of drops, the length of a streak; without one, that of the sensor, or the "
-        "camera's own (4 ms by day).")] = None
+        description="Exposure time T, in which drops make streaks; without one, the sensor's, or the camera's own "
+        "(4 ms by day).")] = None
     seed: Annotated[int, Meta(
         ge=0, le=2**32 - 1, title="Seed",
         extra={"group": "Wind and seed", "commands": "render, disdrometer, drive, evaluate streaks"},
@@ -178,8 +178,8 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     sensor: Annotated[str | None, Meta(
         title="Camera model",
         extra={"group": "Camera", "commands": "render, drive, evaluate detection, evaluate streaks"},
-        description="Sensor and lens: automotive, pinhole, rainsense, waymo_front, or a sensor file. Without one, "
-        "drops get lens and readout of automotive; one also sets exposure, noise, tone curve and JPEG.")] = None
+        description="Sensor and lens: automotive, pinhole, rainsense, waymo_front, or a sensor file; also sets "
+        "exposure, noise, tone curve and JPEG. Without one, drops get the lens and readout of automotive.")] = None
     aperture_mm: Annotated[float | None, Meta(
         title="Aperture",
         extra={"unit": "mm", "ge": 0.0, "le": 50.0, "group": "Camera", "slider_to": 10.0, "none": "the sensor's",

@@ -43,7 +43,7 @@ class ExportSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
         description="PNG, JPEG, EXR or NPY for a still, MP4 or WebM for a video, a folder for numbered frames.")]
     size_px: Annotated[tuple[Pixels, Pixels] | None, Meta(
         title="Size", extra={"unit": "px", "commands": "render"},
-        description="Width and height; without one, each rig camera's own.")] = None
+        description="Width and height; without them, each rig camera's own.")] = None
     fps: Annotated[float, Meta(
         ge=0.1, le=1000, title="Frame rate", extra={"unit": "fps", "commands": "render"},
         description="Frames per second.")] = 30.0
