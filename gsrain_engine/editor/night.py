@@ -11,7 +11,7 @@ from .document import Document, Recipe
 from .edits.members import replace_scene
 from .jobs.job import Job, JobRunner, no_result
 
-NIGHT_TITLE = "Relight as by night"
+NIGHT_TITLE = "Relight for night"
 Member = TypeVar("Member", Layer, Actor)
 
 

@@ -1,4 +1,4 @@
-"""Tools "Move", "Level", "Set origin" and "Measure"."""
+"""Tools "Transform", "Level", "Set origin or ego start" and "Measure"."""
 
 import logging
 from typing import Literal, NamedTuple
@@ -38,7 +38,7 @@ class _Drag(NamedTuple):
 class MoveTool(Tool):
     """Gizmo that moves, rotates and scales the selection, or the active layer or actor."""
 
-    name = "Move"
+    name = "Transform"
     icon = icons_fontawesome_6.ICON_FA_UP_DOWN_LEFT_RIGHT
     key = imgui.Key.t
     help = "Move, turn or scale what is selected, else what is picked in Layers. Ctrl snaps, Esc takes it back."
@@ -91,7 +91,7 @@ class MoveTool(Tool):
 
 
 _VERBS: dict[Handle, tuple[str, str]] = {
-    "translate": ("Move", "Drag an arrow or a square; Ctrl snaps to half a metre."),
+    "translate": ("Move", "Drag an arrow or a square; Ctrl snaps to half a meter."),
     "rotate": ("Turn", "Drag a ring; Ctrl snaps to 15 degrees."),
     "scale": ("Scale", "Drag a handle: all three axes scale alike; Ctrl snaps to tenths."),
 }
@@ -152,7 +152,7 @@ class LevelTool(Tool):
 class OriginTool(Tool):
     """Tool that sets the ego vehicle's start, the world's origin, or the ground height."""
 
-    name = "Set origin"
+    name = "Set origin or ego start"
     icon = icons_fontawesome_6.ICON_FA_LOCATION_CROSSHAIRS
     help = "Click a point of the ground: where the ego vehicle starts, or the world's origin, or the ground's height."
     meaning: Literal["Ego start", "World origin", "Ground height"] = "Ego start"

@@ -10,17 +10,18 @@ from imgui_bundle import imgui
 from gsrain_engine.safe_io.text_files import escape_invisible
 
 
-def readings(table: str, rows: Iterable[tuple[str, str, str]]) -> None:
+def readings(table: str, rows: Iterable[tuple[str, str, str]], *, faint: bool = False) -> None:
     """Draw a table of names and values; the third of each row is the tooltip of its name. `table` is its label."""
+    text = imgui.text_disabled if faint else imgui.text
     if not imgui.begin_table(table, 2, imgui.TableFlags_.row_bg | imgui.TableFlags_.sizing_stretch_prop):
         return
     for name, value, help_text in rows:
         imgui.table_next_row()
         imgui.table_next_column()
-        imgui.text(name)
+        text(name)
         imgui.set_item_tooltip(help_text)
         imgui.table_next_column()
-        imgui.text(value)
+        text(value)
     imgui.end_table()
 
 
@@ -29,6 +30,15 @@ def inline_text(text: str, *, faint: bool = False) -> None:
     imgui.align_text_to_frame_padding()
     (imgui.text_disabled if faint else imgui.text)(text)
     imgui.same_line()
+
+
+def same_line_if_fits(label: str) -> None:
+    """Stay in the line of the last widget if a text or button with this label fits there, too."""
+    style = imgui.get_style()
+    width = imgui.calc_text_size(label, hide_text_after_double_hash=True).x + 2 * style.frame_padding.x
+    right = imgui.get_window_pos().x + imgui.get_window_width() - style.window_padding.x
+    if imgui.get_item_rect_max().x + style.item_spacing.x + width < right:
+        imgui.same_line()
 
 
 # Names from files: their text must not act as a label's id, change the text direction or crash the window

@@ -123,9 +123,7 @@ def test_the_job_of_the_window_is_one_step_that_can_be_repeated(yard):
         job.wait(60)
         settle(editor)
         document = editor.document
-        assert (job.progress.message, document.history.labels[1:]) == (
-            "Lit by 1 lamp", ["Lock", "Relight as by night"],
-        )  # fmt: skip
+        assert (job.progress.message, document.history.labels[1:]) == ("Lit by 1 lamp", ["Lock", "Relight for night"])
         _, step = steps_since(document.history, document.history.steps[0].document)
         made = document.scene.member("layers/all")
         assert made.locked
