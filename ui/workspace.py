@@ -30,7 +30,6 @@ _SPACES = {
 _FOR_THREADS_S = 0.001  # sleep per frame while threads work: without it they rarely get the interpreter
 _IDLE_FPS = 0.3  # A frame costs 80 ms in software rendering; events wake up the window immediately
 _WATCHING_FPS = 10.0  # frame rate for progress bars while workers run without user input
-_PLAYING_FPS = 20.0  # frame rate of a software rasterizer while time plays without user input: more than of the picture
 _SOFTWARE_FPS = 33.0  # maximum frame rate of a software rasterizer: picture and jobs need the cores, too
 
 
@@ -122,10 +121,10 @@ class Workspace:
         idling = hello_imgui.get_runner_params().fps_idling
         # Poll workers at intervals: frames would take CPU time from them.
         plays = editor.playback.clock.playing and editor.has_time
-        idling.fps_idle = _PLAYING_FPS if plays else _WATCHING_FPS if editor.jobs.running else _IDLE_FPS
+        idling.fps_idle = _WATCHING_FPS if editor.jobs.running else _IDLE_FPS
         resting = not (editor.is_bringing_in or viewport.budget.is_settling)
         resting = resting and not (editor.rollouts.mosaic.is_behind or is_file_dialog_open())
-        idling.enable_idling = self._is_software if plays else resting and self.pictures.is_current
+        idling.enable_idling = resting and self.pictures.is_current and not plays
         idling.fps_max = self.max_fps
         if editor.should_quit:
             hello_imgui.get_runner_params().app_shall_exit = True
