@@ -297,7 +297,7 @@ def picture_drive(camera: Photographer) -> None:
 
 _SHEET_WIDTH = 1320
 _GAP = 12
-_SHEET_COLORS = 256
+_SHEET_QUALITY = {1.0: 80, 2.0: 55}
 
 
 def picture_themes(folder: Path) -> None:
@@ -325,10 +325,7 @@ def _take_sheets(camera: Photographer, dpi_scale: float) -> None:
             while editor.rollouts.mosaic.is_behind:
                 camera.frames(1)
             pictures.append(camera.picture(panel.id or panel.title, trimmed=True))
-        name = f"panels_{theme}_dpi{dpi_scale:g}.png"
-        few = _sheet(pictures, dpi_scale).quantize(_SHEET_COLORS, dither=Image.Dither.NONE)
-        few.save(IMAGES / name, optimize=True)
-        print(f"docs/images/{name}")
+        _save(_sheet(pictures, dpi_scale), f"panels_{theme}_dpi{dpi_scale:g}", _SHEET_QUALITY[dpi_scale])
 
 
 def _sheet(pictures: Sequence[Image.Image], dpi_scale: float) -> Image.Image:
