@@ -363,7 +363,7 @@ def leave_out_background(window: hello_imgui.DockableWindow) -> None:
 def delay_presses(window: Any) -> object:
     """Let a press of a mouse button that comes with a move wait for the frame after the move.
 
-    A click on a tab or the viewport, which others may overlap, counts only if the mouse was over it in the frame before.
+    A click on a tab or the viewport, which others may overlap, counts only if the mouse was over it one frame before.
     ImGui delays presses of touch screens, which are always new to their place: each press counts as one of these.
     Returns the callback, which has to live as long as the window.
     """

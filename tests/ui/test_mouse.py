@@ -22,7 +22,8 @@ class XEvent(ctypes.Structure):
         ("type", ctypes.c_int), ("serial", ctypes.c_ulong), ("send_event", ctypes.c_int), ("display", ctypes.c_void_p),
         *((name, ctypes.c_ulong) for name in ("window", "root", "subwindow", "time")),
         *((name, ctypes.c_int) for name in ("x", "y", "x_root", "y_root")),
-        ("state", ctypes.c_uint), ("button", ctypes.c_uint), ("same_screen", ctypes.c_int), ("room", ctypes.c_long * 24),
+        ("state", ctypes.c_uint), ("button", ctypes.c_uint), ("same_screen", ctypes.c_int),
+        ("room", ctypes.c_long * 24),
     )  # fmt: skip
 
 
