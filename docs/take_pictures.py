@@ -295,9 +295,11 @@ def picture_drive(camera: Photographer) -> None:
 
 # Sheets of all panels, in both themes and two scales
 
-_SHEET_WIDTH = 1320
+_SHEET_WIDTH = 1344
 _GAP = 12
-_SHEET_QUALITY = {1.0: 80, 2.0: 55}
+_SHEET_KB = 390
+_PARTS = {1.0: {"": ("left", "right", "bottom")}, 2.0: {"_left": ("left", "bottom"), "_right": ("right",)}}
+"""Sheets of a scale by the end of their names, and the sides of their panels."""
 
 
 def picture_themes(folder: Path) -> None:
@@ -319,13 +321,17 @@ def _take_sheets(camera: Photographer, dpi_scale: float) -> None:
     hello_imgui.change_window_size((round(dpi_scale * width), round(dpi_scale * height)))
     for theme in ("dark", "light"):
         editor.preferences.value = msgspec.structs.replace(editor.preferences.value, theme=theme)
-        pictures = list[Image.Image]()
+        pictures = dict[str, list[Image.Image]]()
         for panel in BUILT_IN_PANELS:
             camera.ctx.window_focus(f"//{panel.id or panel.title}")
+            camera.frames()
             while editor.rollouts.mosaic.is_behind:
                 camera.frames(1)
-            pictures.append(camera.picture(panel.id or panel.title, trimmed=True))
-        _save(_sheet(pictures, dpi_scale), f"panels_{theme}_dpi{dpi_scale:g}", _SHEET_QUALITY[dpi_scale])
+            taken = camera.picture(panel.id or panel.title, trimmed=True)
+            pictures.setdefault(panel.side.split()[0], []).append(taken)
+        for end, sides in _PARTS[dpi_scale].items():
+            shown = [picture for side in sides for picture in pictures[side]]
+            _save_small(_sheet(shown, dpi_scale), f"panels_{theme}_dpi{dpi_scale:g}{end}")
 
 
 def _sheet(pictures: Sequence[Image.Image], dpi_scale: float) -> Image.Image:
@@ -342,7 +348,8 @@ def _sheet(pictures: Sequence[Image.Image], dpi_scale: float) -> Image.Image:
         if right - beside > 0:
             free.append((beside, top, right))
     height = max(top + picture.height for picture, _, top in places) + gap
-    sheet = Image.new("RGB", (sheet_width, height), (128, 128, 128))
+    width = max(left + picture.width for picture, left, _ in places) + gap
+    sheet = Image.new("RGB", (width, height), (128, 128, 128))
     for picture, left, top in places:
         sheet.paste(picture, (left, top))
     return sheet
@@ -352,6 +359,14 @@ def _save(picture: Image.Image, name: str, quality: int) -> None:
     IMAGES.mkdir(exist_ok=True)
     picture.save(IMAGES / f"{name}.jpg", quality=quality, optimize=True)
     print(f"docs/images/{name}.jpg")
+
+
+def _save_small(picture: Image.Image, name: str) -> None:
+    """Save a picture in the best quality in which its file is small enough."""
+    for quality in range(_QUALITY, 0, -6):
+        _save(picture, name, quality)
+        if (IMAGES / f"{name}.jpg").stat().st_size < 1000 * _SHEET_KB:
+            return
 
 
 def _filled_px(picture: Image.Image) -> int:

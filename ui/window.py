@@ -186,6 +186,7 @@ class MainWindow:
         callbacks.pre_new_frame = self._guarded(self._update)
         callbacks.show_menus = self._guarded(lambda: self.workspace.draw_menus() if self.workspace else None)
         callbacks.show_status = self._guarded(lambda: self.workspace.draw_status() if self.workspace else None)
+        callbacks.after_swap = self._guarded(lambda: self.workspace.rest() if self.workspace else None)
         callbacks.before_exit = self._end
         # ImGui antialiases its own edges: multisampling would only slow down software rendering.
         parameters.renderer_backend_options.open_gl_options = hello_imgui.OpenGlOptions(anti_aliasing_samples=0)

@@ -60,7 +60,7 @@ def _buttons(viewport: ViewportState, selection: SelectionTool, is_selected: boo
     imgui.text("by")
     imgui.same_line()
     imgui.set_next_item_width(-1)
-    _, selection.distance_m = slide("##distance_m", selection.distance_m, 0.001, 10.0, "%.3f m", LOGARITHMIC, unit="m")
+    _, selection.distance_m = slide("##distance_m", selection.distance_m, 0.001, 10.0, "%.3g m", LOGARITHMIC, unit="m")
     imgui.set_item_tooltip("Distance between centers in meters. Double click: type.")
 
 
