@@ -140,12 +140,11 @@ class Workspace:
         """
         if not (self._plays and self.max_fps):
             return
-        while (left_s := self._began_s + 1 / self.max_fps - time.perf_counter()) > 0:
-            if not self.pictures.is_drawing:
-                time.sleep(left_s)
-            elif self.pictures.wait(left_s):
-                self._take_picture()
-                self._begin_picture()
+        due_s = self._began_s + 1 / self.max_fps
+        if self.pictures.wait(max(due_s - time.perf_counter(), 0.0)):
+            self._take_picture()
+            self._begin_picture()
+        time.sleep(max(due_s - time.perf_counter(), 0.0))
 
     def draw_menus(self) -> None:
         draw_menus(self.editor)

@@ -160,7 +160,7 @@ def test_the_window_wakes_when_a_picture_is_drawn(editor, pictures):
     drawn = threading.Event()
     thread = PictureThread(OwnContext(), "opengl", drawn.set)
     begin(editor, thread)
-    assert drawn.wait(60) and thread.take() is not None
+    assert drawn.wait(60) and thread.wait(0.0) and thread.take() is not None and not thread.wait(0.0)
     thread.close()
 
 
