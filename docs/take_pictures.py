@@ -34,7 +34,7 @@ _MOMENT_S = 5.4
 """In the middle of the shower and between two cars."""
 _IN_THE_DRIVE_S = 1.6
 """The car that stands is near, and the plan shows that it is seen."""
-_MOST_FRAMES = 500
+_MOST_FRAMES = 1000
 _NOTICED = 8
 """Levels by which a row of a picture has to differ from an empty one."""
 _MARGIN = 16
@@ -63,7 +63,7 @@ class Photographer:
         def act(ctx: imgui.test_engine.TestContext) -> None:
             self.ctx = ctx
             engine = imgui.test_engine.get_io(hello_imgui.get_imgui_test_engine())
-            engine.config_watchdog_kill_test = engine.config_watchdog_warning = 900.0
+            engine.config_watchdog_kill_test = engine.config_watchdog_warning = 3600.0
             while self.window.workspace is None or not self.window.workspace.pictures.is_settled:
                 ctx.yield_()
             self.frames(5)
@@ -77,12 +77,17 @@ class Photographer:
             self.ctx.yield_()
 
     def rest(self) -> None:
-        """Let the frames go by that still change the picture: drops take the color of a sky that is new."""
+        """Let the frames go by that still change the picture: exact ones, and drops in the color of a new sky."""
         assert self.window.workspace is not None
+        pictures, viewport = self.window.workspace.pictures, self.editor.viewport
+        results = [pictures.last]
         for _ in range(_MOST_FRAMES):
-            if not self.editor.viewport.is_catching_up:
+            is_settled = not (viewport.budget.is_settling or viewport.is_catching_up)
+            if len(results) > 2 and is_settled and pictures.is_current:  # the second was begun after all changes
                 break
             self.ctx.yield_()
+            if pictures.last is not results[-1]:
+                results.append(pictures.last)
         self.frames()
 
     def gesture(self, places: Sequence[tuple[float, float]], *, held: bool) -> None:
