@@ -1,6 +1,7 @@
 """Takes the pictures of the guide from the running window: `make pictures`. Needs a display, or Xvfb's `xvfb-run`."""
 
 import math
+import os
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
@@ -403,6 +404,7 @@ def main() -> None:
     wanted = sys.argv[1:] or [*groups, "themes"]
     use_kernel_cache()
     with tempfile.TemporaryDirectory() as folder:
+        os.environ["XDG_CONFIG_HOME"] = folder  # the default preferences, such as which panels are in front
         if in_one_window := [name for name in wanted if name != "themes"]:
             camera = Photographer(Path(folder))
             camera.run(lambda: [groups[name](camera) for name in in_one_window] and None)
