@@ -30,7 +30,7 @@ from gsrain_engine.rain.settings import CALIBRATED_UP_TO_MM_H, HEAVIEST_MM_H
 
 from ..commands.table import help_of
 from ..widgets.draw import draw_diamond, on_screen_px
-from ..widgets.fields import LOGARITHMIC, button, square_button, toggle_keyframe, warn
+from ..widgets.fields import LOGARITHMIC, button, same_line_if_fits, square_button, toggle_keyframe, warn
 from ..widgets.file_dialogs import ask_what_to_open
 from .timeline_tracks import value_text
 
@@ -94,31 +94,23 @@ def _buttons(editor: Editor) -> None:
     action = "Remove the keyframe" if is_here else "Insert a keyframe of the present intensity"
     if button("Remove keyframe###now" if is_here else "Insert keyframe###now", f"{action} at {now_s:.2f} s."):
         toggle_keyframe(document, editor.viewport, playback, "intensity_mm_h")
-    _same_line_if_fits("Add passing shower")
+    same_line_if_fits("Add passing shower")
     if button("Add passing shower", help_of("Add passing shower")):
         add_passing_shower(document, playback, editor.keyframe_panel)
-    _same_line_if_fits("Import...")
+    same_line_if_fits("Import...")
     if button("Import...", _IMPORT_HELP, enabled=calibration.busy is None):
         ask_for_rate_file(calibration)
-    _same_line_if_fits("Fit##shower")
+    same_line_if_fits("Fit##shower")
     if button(
         f"{icons_fontawesome_6.ICON_FA_MAXIMIZE}###fit shower", "Show all keyframes. Wheel: zoom in time. Drag: pan."
     ):
         editor.keyframe_panel.refit = True
-    _same_line_if_fits("Clear keyframes")
+    same_line_if_fits("Clear keyframes")
     if button("Clear keyframes", help_of("Clear rain keyframes"), enabled=bool(document.keyframes.keys)):
         clear_keyframes(document)
     if calibration.busy is not None:
         imgui.text_disabled(calibration.busy)
     warn(calibration.error)
-
-
-def _same_line_if_fits(label: str) -> None:
-    style = imgui.get_style()
-    width = imgui.calc_text_size(label, hide_text_after_double_hash=True).x + 2 * style.frame_padding.x
-    right = imgui.get_window_pos().x + imgui.get_window_width() - style.window_padding.x
-    if imgui.get_item_rect_max().x + style.item_spacing.x + width < right:
-        imgui.same_line()
 
 
 def _series(editor: Editor, name: str, reading: DisdrometerReading) -> None:

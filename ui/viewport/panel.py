@@ -74,9 +74,10 @@ def viewport_panel(editor: Editor, tools: Sequence[Tool], picture: DrawResult, f
         draw_start_card(editor, corner, width, height)
     elif editor.scene_setup.is_open:
         draw_setup_bar(editor, corner, left, width)
-    used = draw_hint(editor, corner, left, height) if editor.preferences.value.hint else left
-    used = max(used, draw_update(editor, corner, left, height))
-    draw_notices(editor, corner, used, width, height)
+    taken = draw_update(editor, corner, left, height)
+    if editor.preferences.value.hint:
+        taken = draw_hint(editor, corner, left, height)
+    draw_notices(editor, corner, left, taken, width, height)
     folded.draw(ImVec2(corner.x + width, corner.y), height)
     return width, height
 
