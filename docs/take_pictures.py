@@ -132,6 +132,7 @@ class Photographer:
         """Picture panels, each as `panel_ITS_TITLE`, in a window that is high enough for the whole of most."""
         hello_imgui.change_window_size(_FOR_PANELS)
         self.frames()
+        self.ctx.mouse_move("//View/view")  # no tooltip is open
         for panel in BUILT_IN_PANELS:
             if panel.title in titles:
                 window = panel.id or panel.title
