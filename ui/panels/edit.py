@@ -55,7 +55,8 @@ def edit_panel(
     member = next((each for each in document.scene.members if each.key == viewport.options.member), None)
     if member is None:
         imgui.separator_text("Layer")
-        imgui.text_disabled("Select a layer or an actor in Layers.")
+        with text_color(imgui.Col_.text_disabled):
+            imgui.text_wrapped("Select a layer or an actor in Layers.")
     else:
         _member(document, viewport, playback, member)
     if imgui.collapsing_header("Floaters", _OPEN):

@@ -89,7 +89,10 @@ def _row(document: Document, viewport: ViewportState, member: Layer | Actor) -> 
         _name(document, viewport, member)
     imgui.table_next_column()
     deleted = member.marks.deleted.size if member.marks.deleted is not None else 0
-    imgui.text_disabled(f"{len(member.gaussians) - deleted:,}")
+    words = f"{len(member.gaussians) - deleted:,}"
+    room = imgui.get_content_region_avail().x - imgui.calc_text_size(words).x
+    imgui.set_cursor_pos_x(imgui.get_cursor_pos_x() + max(room, 0.0))
+    imgui.text_disabled(words)
     if deleted:
         imgui.set_item_tooltip(f"{deleted:,} more are deleted; they stay in the scene folder for undo.")
 

@@ -35,13 +35,14 @@ from ..widgets.fields import (
     keyframe_button,
     keyframe_button_width,
     keyframed_slider,
+    same_line_if_fits,
     share_of_width,
     tint_keyframed,
     warn,
 )
 from ..widgets.file_dialogs import ask_what_to_open
 from ..widgets.numbers import compass, compass_name, slide
-from ..widgets.text import readings, same_line_if_fits
+from ..widgets.text import readings
 from ..widgets.type_ahead import combo_box
 from .glass import glass_fields
 from .lamps import lamp_fields
@@ -69,14 +70,7 @@ def rain_panel(
     _presets(document)
     _intensity(document, viewport, playback, live_rain)
     _exposure(document, viewport, playback)
-    fields.toggle(document, "streaks")
-    imgui.same_line()
-    fields.toggle(document, "roofs")
-    imgui.same_line()
-    fields.toggle(document, "mirror")
-    fields.toggle(document, "splashes")
-    imgui.same_line()
-    fields.toggle(document, "spray")
+    fields.toggles(document, "streaks", "roofs", "mirror", "splashes", "spray")
     fields.choice(document, "haze")
     fields.rain_field(document, "visibility_m")
     _drop_color(document, viewport, live_rain)

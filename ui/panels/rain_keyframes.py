@@ -29,10 +29,9 @@ from gsrain_engine.rain.keyframes import (
 from gsrain_engine.rain.settings import CALIBRATED_UP_TO_MM_H, HEAVIEST_MM_H
 
 from ..commands.table import help_of
-from ..widgets.draw import draw_diamond
-from ..widgets.fields import LOGARITHMIC, button, square_button, toggle_keyframe, warn
+from ..widgets.draw import draw_diamond, on_screen_px
+from ..widgets.fields import LOGARITHMIC, button, same_line_if_fits, square_button, toggle_keyframe, warn
 from ..widgets.file_dialogs import ask_what_to_open
-from ..widgets.text import same_line_if_fits
 from .timeline_tracks import value_text
 
 _IMPORT_HELP = "Make keyframes from the rain rates of a disdrometer file, in mm/h, at most 149."
@@ -207,7 +206,7 @@ def _curve(document: Document, keyframe_panel: KeyframePanelState) -> None:
     limits = implot.get_plot_limits()
     times, rates = _points(document, limits.x.min, limits.x.max)
     implot.plot_shaded("fill", times, rates, spec=implot.Spec(fill_color=_FILL))
-    implot.plot_line("rate", times, rates, spec=implot.Spec(line_color=_CURVE, line_weight=2.0))
+    implot.plot_line("rate", times, rates, spec=implot.Spec(line_color=_CURVE, line_weight=on_screen_px(2.0)))
     if keyframe_panel.top_mm_h > CALIBRATED_UP_TO_MM_H:
         spec = implot.Spec(line_color=_LIMIT, flags=implot.InfLinesFlags_.horizontal)
         implot.plot_inf_lines("calibrated up to", np.array([CALIBRATED_UP_TO_MM_H]), spec=spec)

@@ -138,7 +138,10 @@ def _transport(editor: Editor) -> None:
     _path_menu(editor.document, playback, editor.camera_path)
     imgui.same_line(spacing=_GAP)
     help_text = "Choose a place, then record the timeline (Ctrl+R); the Record panel has format and size."
-    if button(f"{_FA.ICON_FA_VIDEO} Record...###record", help_text):
+    title = f"{_FA.ICON_FA_VIDEO} Record..."
+    width = imgui.calc_text_size(title).x + 2 * imgui.get_style().frame_padding.x
+    fits = width <= imgui.get_content_region_avail().x
+    if button(f"{title if fits else _FA.ICON_FA_VIDEO}###record", help_text):
         ask_where_to_record(editor.render_queue)
 
 

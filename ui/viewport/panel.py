@@ -21,7 +21,7 @@ from ..widgets.fields import button
 from ..widgets.type_ahead import has_keys
 from .first_run import draw_hint, draw_setup_bar, draw_start_card, draw_update
 from .notices import card, draw_notices
-from .overlays import OVERLAYS, draw_divider, preview_side
+from .overlays import OVERLAYS, draw_divider, draw_spinner, preview_side
 
 _OUTLINE = {"streak region": ImVec4(0.45, 0.85, 1.0, 0.9), "haze region": ImVec4(1.0, 0.8, 0.45, 0.9)}
 
@@ -40,11 +40,14 @@ def viewport_panel(editor: Editor, tools: Sequence[Tool], picture: DrawResult, f
     if textures and at < width:
         imgui.image(imgui.ImTextureRef(textures[-1]), ImVec2(width - at, height), ImVec2(at / width, 0), ImVec2(1, 1))
     labels = preview_side(editor.viewport, editor.wet_look, corner, width, height)
-    if len(textures) == 2 and picture.frame is not None:
-        labels = picture.frame.panes[0].label, picture.frame.panes[1].label
+    panes = editor.split_panes if len(textures) < 2 or picture.frame is None else picture.frame.panes
+    if len(panes) == 2:
+        labels = panes[0].label, panes[1].label
     if labels is not None:
         below = 1.7 * imgui.get_frame_height() if editor.viewport.options.tool else 0.0  # the bar of a tool
         draw_divider(editor.viewport, labels, corner, width, height, below)
+        if len(textures) < len(panes):  # the last picture is on both sides
+            draw_spinner(ImVec2(corner.x + editor.viewport.options.divider * width / 2, corner.y + height / 2))
     imgui.set_cursor_screen_pos(corner)
     imgui.set_next_item_allow_overlap()
     flags = imgui.ButtonFlags_.mouse_button_left | imgui.ButtonFlags_.mouse_button_right
@@ -69,10 +72,10 @@ def viewport_panel(editor: Editor, tools: Sequence[Tool], picture: DrawResult, f
         draw_start_card(editor, corner, width, height)
     elif editor.scene_setup.is_open:
         draw_setup_bar(editor, corner, left, width)
+    taken = draw_update(editor, corner, left, height)
     if editor.preferences.value.hint:
-        draw_hint(editor, corner, height)
-    draw_update(editor, corner, height)
-    draw_notices(editor, corner, width, height)
+        taken = draw_hint(editor, corner, left, height)
+    draw_notices(editor, corner, left, taken, width, height)
     folded.draw(ImVec2(corner.x + width, corner.y), height)
     return width, height
 

@@ -114,6 +114,23 @@ def toggle(document: Document, name: str) -> None:
         document.change_rain(f"{info.title} {'on' if value else 'off'}", **{name: value})
 
 
+def toggles(document: Document, *names: str) -> None:
+    """Draw check boxes next to each other as far as there is room."""
+    for number, name in enumerate(names):
+        if number > 0:
+            same_line_if_fits(field_of(RainSettings, name).title, imgui.get_frame_height())
+        toggle(document, name)
+
+
+def same_line_if_fits(label: str, more_px: float = 0.0) -> None:
+    """Go on in the same line if a button with this label, or an item so many pixels wider, has room there."""
+    style = imgui.get_style()
+    width = imgui.calc_text_size(label, hide_text_after_double_hash=True).x + 2 * style.frame_padding.x + more_px
+    right = imgui.get_cursor_screen_pos().x + imgui.get_content_region_avail().x
+    if imgui.get_item_rect_max().x + style.item_spacing.x + width < right:
+        imgui.same_line()
+
+
 def box(document: Document, name: str) -> None:
     """Edit the lower and upper corner of a region in meters; corners that would invert it are ignored."""
     info, region = field_of(RainSettings, name), getattr(document.rain, name)

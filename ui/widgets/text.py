@@ -32,15 +32,6 @@ def inline_text(text: str, *, faint: bool = False) -> None:
     imgui.same_line()
 
 
-def same_line_if_fits(label: str) -> None:
-    """Stay in the line of the last widget if a text or button with this label fits there, too."""
-    style = imgui.get_style()
-    width = imgui.calc_text_size(label, hide_text_after_double_hash=True).x + 2 * style.frame_padding.x
-    right = imgui.get_window_pos().x + imgui.get_window_width() - style.window_padding.x
-    if imgui.get_item_rect_max().x + style.item_spacing.x + width < right:
-        imgui.same_line()
-
-
 # Names from files: their text must not act as a label's id, change the text direction or crash the window
 
 _HIDDEN = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")

@@ -149,13 +149,13 @@ class LiveView:
             self._sample_sky(frame, result)
         sky = (result.sky or frame.sky).at(frame.overcast)
         # The last pane, on the right, is the document itself: statistics are those of its image.
-        started, has_drawn, panes = time.perf_counter(), False, self._panes[-self._pane_count :]
-        for side, pane in zip(frame.panes, panes, strict=True):
-            has_drawn = self._draw_pane(frame, side, pane, sky)
-        if self._cpu is not None and (has_drawn or not self._can_draw) and frame.scene.gaussian_count:
+        started, panes = time.perf_counter(), self._panes[-self._pane_count :]
+        drawn = [self._draw_pane(frame, side, pane, sky) for side, pane in zip(frame.panes, panes, strict=True)]
+        if self._cpu is not None and (drawn[-1] or not self._can_draw) and frame.scene.gaussian_count:
             self._cpu.compile()  # after the first image, which compiling would delay
-        if has_drawn:
+        if any(drawn):
             self._finish()
+        if drawn[-1]:
             result.drawn = self._measured(frame, 1000 * (time.perf_counter() - started) - self._shared_ms(frame, panes))
         if frame.screenshot is not None:
             self._save_screenshot(frame.screenshot, frame.divider, result)

@@ -96,10 +96,11 @@ class PictureThread:
         self._last, self._may_abandon = picture.result, True
         return picture
 
-    def wait(self) -> None:
-        """Wait until `take` has an answer."""
+    def wait(self, timeout_s: float | None = None) -> bool:
+        """Wait until `take` has an answer, or for a time; return whether it has one."""
         if self._drawing is not None:
-            wait([self._drawing])
+            wait([self._drawing], timeout_s)
+        return self._drawing is not None and self._drawing.done()
 
     def begin(self, frame: RenderInput, mosaic: MosaicInput | None) -> None:
         """Begin to draw a picture, after the last one was taken."""
