@@ -18,7 +18,7 @@ STEPS_MM_H = 0.0, 0.5, 1.0, 2.5, 5.0, 8.5, 12.0, 18.0, 25.0, 35.0, 50.0
 """Intensities of the slider, besides the rain's own."""
 
 OPENING_MM_H = 8.5
-"""Where the slider of a rain that is off stands at first."""
+"""First place of the slider of a rain that is off."""
 
 AROUND_PATH_M, _MOST_ROOFS_M = 60.0, 300.0  # of the roofs on a page; farther ones shelter nothing there
 
