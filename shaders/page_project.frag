@@ -26,11 +26,17 @@ uniform sampler2D codebooks;  // 256 columns; rows: scales, base, others, and ba
 uniform vec3 means_minimum, means_maximum;
 uniform int coefficients, wet_coefficients;
 uniform mat4 object_to_camera;
-uniform vec3 camera_in_object;
 uniform float wetness;
 uniform bool antialiased, has_medium, has_actors;
 uniform sampler2D actors;  // number of each Gaussian's actor
-uniform sampler2D poses;   // a row for each actor: three rows of its matrix, and the camera in its frame; 0 does not move
+uniform sampler2D poses;   // a row for each actor: three rows of its matrix, and the height of uneven ground below it; 0 does not move
+
+// In a mirror, some Gaussians are left out, the others larger, and what is over uneven ground is moved to a level one.
+uniform bool is_mirrored, is_uneven;
+uniform sampler2D water;   // of each Gaussian, as water_codes of page_mirror.py
+uniform sampler2D floors;  // height of uneven ground below each Gaussian that does not move (m)
+uniform vec4 level;        // upward in the object's frame, and the height of level ground (m)
+uniform float growth_steps;
 
 vec3 looked_up(vec3 bytes, int row) {
     ivec3 at = ivec3(255.0 * bytes + 0.5);
@@ -92,29 +98,36 @@ void main() {
     if (!project(place.xyz, axes, opacity, true, false, false, splat)) return;
     set_color(splat, display_color);
 #else
+    ivec2 own = ivec2(number % SPLAT_COLUMNS, number / SPLAT_COLUMNS);
+    float reflected = is_mirrored ? 255.0 * texelFetch(water, own, 0).b : 1.0;
+    if (reflected < 0.5) return;
     ivec2 size = textureSize(means_low, 0), at = ivec2(number % size.x, number / size.x);
     vec3 steps = 255.0 * texelFetch(means_low, at, 0).rgb + 65280.0 * texelFetch(means_high, at, 0).rgb;
     vec3 logarithm = mix(means_minimum, means_maximum, steps / 65535.0);
-    vec3 mean = sign(logarithm) * (exp(abs(logarithm)) - 1.0), eye = camera_in_object;
+    vec3 mean = sign(logarithm) * (exp(abs(logarithm)) - 1.0);
     mat4 to_camera = object_to_camera;
+    int actor = 0;
     if (has_actors) {
-        ivec2 label = ivec2(255.0 * texelFetch(actors, ivec2(number % 2048, number / 2048), 0).rg + 0.5);
-        int actor = label.x + 256 * label.y;
+        ivec2 label = ivec2(255.0 * texelFetch(actors, own, 0).rg + 0.5);
+        actor = label.x + 256 * label.y;
         if (actor > 0) {
             mat4 pose;
             for (int row = 0; row < 3; ++row) pose[row] = texelFetch(poses, ivec2(row, actor), 0);
             pose[3] = vec4(0.0, 0.0, 0.0, 1.0);
             to_camera = object_to_camera * transpose(pose);
-            eye = texelFetch(poses, ivec2(3, actor), 0).xyz;
         }
     }
     vec3 p = (to_camera * vec4(mean, 1.0)).xyz;
+    if (is_mirrored && is_uneven) {
+        float floor_m = actor > 0 ? texelFetch(poses, ivec2(3, actor), 0).r : texelFetch(floors, own, 0).r;
+        p += (level.w - floor_m) * (mat3(object_to_camera) * level.xyz);
+    }
     if (!(p.z > near)) return;  // also where it is absent
     mat3 axes = mat3(to_camera) * rotation_matrix(quaternion(texelFetch(quaternions, at, 0)));
-    vec3 s = exp(looked_up(texelFetch(scales, at, 0).rgb, 0));
+    vec3 s = exp(looked_up(texelFetch(scales, at, 0).rgb, 0)) * (1.0 + max(reflected - 1.0, 0.0) / growth_steps);
     axes = mat3(axes[0] * s.x, axes[1] * s.y, axes[2] * s.z);
     if (!project(p, axes, texelFetch(base, at, 0).a, false, false, antialiased, splat)) return;
-    vec3 direction = normalize(mean - eye);
+    vec3 direction = normalize(transpose(mat3(to_camera)) * p);
     vec3 color = color_of(at, direction, base, labels, centroids, coefficients, 1);
     if (wetness > 0.0) {
         vec3 wet = color_of(at, direction, wet_base, wet_labels, wet_centroids, wet_coefficients, 3);

@@ -1,8 +1,9 @@
 """A scene and its rain as one web page: the scene as a SOG file, a path, and the desktop's rain and shaders.
 
 The page draws what `gsrain render` draws, but for what `left_out_of_page` lists. Its rain is that of `rain.js`, which
-computes the integers of `drop_field.py` again, and its shaders share their common parts with the desktop's. Viewers
-of others draw no streaks: an alpha of 0.01 is below what they keep in eight bits, and rain adds in linear light.
+computes the integers of `drop_field.py` again, its mirror of wet ground that of `mirror.js`, and its shaders share
+their common parts with the desktop's. Viewers of others draw no streaks: an alpha of 0.01 is below what they keep in
+eight bits, and rain adds in linear light.
 """
 
 import base64
@@ -32,20 +33,24 @@ from ..scene.geometry import quaternions_from_matrices
 from ..scene.progress import Progress
 from ..scene.scene import Scene
 from ..scene.transforms import world_to_file
-from .page_scene import POSE_STEP_S, PageScene, page_scene
+from .page_mirror import PageMirror, page_mirror
+from .page_scene import COLUMNS, POSE_STEP_S, PageScene, page_scene
 from .rain_states import STEPS_MM_H, RainStates, check_rain, rain_states
 
 LONGEST_S = 600.0
 """Longest path on a page."""
 
 _STEP_S = 1 / 30  # between the cameras of the path
-_COLUMNS = {"SPLAT_COLUMNS": 2048, "STREAK_COLUMNS": 512}  # of the data textures
+_COLUMNS = {"SPLAT_COLUMNS": COLUMNS, "STREAK_COLUMNS": 512}  # of the data textures
 _SHADERS = (
     "page_quad.vert",
     "page_project.frag",
     "page_splat.vert",
     "page_splat.frag",
     "page_sky.frag",
+    "page_mirror_light.frag",
+    "page_mirror_columns.frag",
+    "page_mirror_rows.frag",
     "page_picture.frag",
 )
 _KEYS = (
@@ -75,6 +80,7 @@ class PageContents:
     """Cameras of the path, `_STEP_S` apart."""
     floors_m: Sequence[float | None]
     """Heights of the ground below them, where they are known."""
+    mirror: PageMirror | None = None
     start_s: float = 0.0
     """Time of the scene and of the rain at the start of the path."""
     missing: Sequence[str] = ()
@@ -103,15 +109,16 @@ def write_page(
     time_s = sequence.start_s
     rainiest = RainSimulation.start(structs.replace(rain, intensity_mm_h=STEPS_MM_H[-1]))
     sky = replace(sequence, rainfall=rainiest).sky(renderer)  # its clouds, too, where the rain itself is off
-    content = yield from page_scene(scene, time_s, length_s)
+    content = yield from page_scene(scene, time_s, length_s, mirror=rain.mirror)
     yield Progress(0.9, "Writing the page")
     views = [sequence.shot_at(time_s + step * _STEP_S) for step in range(round(length_s / _STEP_S) + 1)]
     exposure_s = sequence.rainfall.exposure_s(views[0].camera)
     cameras = [view.camera for view in views]
     states = rain_states(rain, scene, {False: sky.at(0.0), True: sky.at(1.0)}, cameras, exposure_s)
     floors = [rain_camera(scene, sequence.rainfall, view).floor_m for view in views]
+    mirror = page_mirror(scene, states.states, cameras)
     contents = PageContents(
-        scene.name, path_name, content, states, views, floors, time_s, missing=left_out_of_page(scene)
+        scene.name, path_name, content, states, views, floors, mirror, time_s, missing=left_out_of_page(scene)
     )
     with whole_file(output) as written:
         written.write_text(page_html(contents), encoding="utf-8")
@@ -120,8 +127,8 @@ def write_page(
 
 def left_out_of_page(scene: Scene) -> list[str]:
     """Phrases for what a page lacks of the rain in a scene."""
-    lamps = ["the light of lamps on rain"] if scene.lamps else []
-    return [*lamps, "the mirror of wet ground", "splashes", "spray", "water on glass"]
+    lamps = ["the light of lamps on rain and wet ground"] if scene.lamps else []
+    return [*lamps, "splashes", "rings in water", "spray", "water on glass"]
 
 
 def page_html(contents: PageContents) -> str:
@@ -142,11 +149,14 @@ def page_html(contents: PageContents) -> str:
 
 def _archive(contents: PageContents) -> bytes:
     """All files of a page in a zip file; images are compressed already."""
-    scene, roofs = contents.scene, contents.rain.roofs
+    scene, roofs, mirror = contents.scene, contents.rain.roofs, contents.mirror
     files = {"scene.sog": scene.sog}
     files |= {f"wet/{name}": file for name, file in (scene.wet_colors or {}).items()}
     files |= {} if scene.actors is None else {"actors.webp": scene.actors, "poses": scene.poses.tobytes()}
     files |= {} if roofs is None else {"roofs": roofs.heights_m.tobytes()}
+    if mirror is not None and scene.water is not None:
+        files |= {"water.webp": scene.water, "facets": mirror.facets.tobytes(), "floors": scene.floors_m.tobytes()}
+        files |= {} if mirror.ground is None else {"ground.webp": mirror.ground}
     whole = io.BytesIO()
     with zipfile.ZipFile(whole, "w") as archive:
         for name, file in files.items():
@@ -172,6 +182,7 @@ def _settings(contents: PageContents) -> dict[str, Any]:
         "toWorld": {"rotation": file_to_world[:3, :3].tolist(), "origin": file_to_world[:3, 3].tolist()},
         "antialiased": contents.scene.antialiased,
         "hasWet": contents.scene.wet_colors is not None,
+        "mirror": None if contents.mirror is None else contents.mirror.settings,
         "actors": len(contents.scene.poses),
         "poseStep": POSE_STEP_S,
         "start": contents.start_s,

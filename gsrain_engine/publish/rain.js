@@ -343,8 +343,8 @@ class Rain {
 // `fixed` are positions in the world, those of `streaks` follow them; what is nearer than `near` is left out. `members` are
 // numbers of actors, whose positions move with their poses; 0 does not move.
 class DepthOrder {
-  constructor(fixed, members) {
-    Object.assign(this, {fixed, members, still: fixed});
+  constructor(fixed, members, mirror) {
+    Object.assign(this, {fixed, members, mirror, still: fixed});
     this.resize(fixed.length / 3);
   }
 
@@ -370,16 +370,20 @@ class DepthOrder {
     }
   }
 
-  of(camera, streaks, near) {
-    const {fixed, value, bits} = this, count = fixed.length / 3, more = streaks.length / STREAK_FLOATS;
+  // With `level`, of those that a mirror shows only, over level ground: its height, and the heights below actors.
+  of(camera, streaks, near, level = null) {
+    const {fixed, value, bits, members} = this, count = fixed.length / 3, more = streaks.length / STREAK_FLOATS;
+    const {reflected, floors} = level ? this.mirror : {reflected: null, floors: null}, all = reflected ? reflected.length : count;
     if (count + more > this.room) this.resize(count + 2 * more);
     const {keys, ids, spare} = this, [x, y, z] = camera.axes[2];
     const constant = -(x * camera.position[0] + y * camera.position[1] + z * camera.position[2]);
     value[0] = near;
     const first = bits[0];
     let n = 0;
-    for (let i = 0, k = 0; i < count; ++i, k += 3) {
-      const depth = x * fixed[k] + y * fixed[k + 1] + z * fixed[k + 2] + constant;
+    for (let j = 0; j < all; ++j) {
+      const i = reflected ? reflected[j] : j, k = 3 * i;
+      let depth = x * fixed[k] + y * fixed[k + 1] + z * fixed[k + 2] + constant;
+      if (floors) depth += z * (level.ground - (members && members[i] ? level.actors[members[i] - 1] : floors[i]));
       if (!(depth > near)) continue;
       value[0] = depth;
       keys[i] = 0x3FFFFF - Math.min((bits[0] - first) >>> 6, 0x3FFFFF);
@@ -410,7 +414,7 @@ if (typeof WorkerGlobalScope !== "undefined" && self instanceof WorkerGlobalScop
   let order = null, rains = [];
   self.onmessage = ({data}) => {
     if (data.fixed) {
-      order = new DepthOrder(data.fixed, data.members);
+      order = new DepthOrder(data.fixed, data.members, data.mirror);
       rains = data.states.map(state => new Rain(data.settings, state));
       return;
     }
@@ -421,9 +425,10 @@ if (typeof WorkerGlobalScope !== "undefined" && self instanceof WorkerGlobalScop
     }
     const falls = rain.state.density > 0, streaks = falls ? rain.streaks(time, camera) : new Float32Array(0);
     if (data.poses) order.move(data.poses, data.rotation, data.origin);
-    const ids = order.of(camera, streaks, near).slice(), copy = streaks.slice();
+    const ids = order.of(camera, streaks, near).slice(), copy = streaks.slice(), {mirror, floors} = data;
+    const reflected = mirror && order.of(mirror.below, new Float32Array(0), near, {ground: mirror.ground, actors: floors}).slice();
     const {numbers, drawn, floor} = rain.medium(camera);
-    self.postMessage({id: data.id, ids, streaks: copy, numbers, drawn, floor, camera, state, poses: data.poses}, [ids.buffer, copy.buffer]);
+    self.postMessage({id: data.id, ids, streaks: copy, numbers, drawn, floor, camera, state, reflected, floors, poses: data.poses}, [ids.buffer, copy.buffer]);
   };
 } else if (typeof module !== "undefined") {
   module.exports = {Rain, DepthOrder, classDiameters};

@@ -13,6 +13,7 @@ from ..rain.shelter_map import ShelterMap, shelter_map_of
 from ..rain.simulation import RainSimulation
 from ..scene.camera import Camera
 from ..scene.scene import Scene
+from .page_mirror import mirror_state
 
 STEPS_MM_H = 0.0, 0.5, 1.0, 2.5, 5.0, 8.5, 12.0, 18.0, 25.0, 35.0, 50.0
 """Intensities of the slider, besides the rain's own."""
@@ -85,7 +86,7 @@ def rain_states(
         "streakGain": rain.streak_gain,
         "maxCopies": rain.max_copies,
     }  # fmt: skip
-    states = [_state(simulation, sky) for simulation in simulations]
+    states = [_state(simulation, scene, sky) for simulation in simulations]
     roofs = shelter_map_of(scene) if rain.roofs else None
     if roofs is not None:
         places = np.array([camera.position[:2] for camera in cameras])
@@ -98,7 +99,7 @@ def rain_states(
     return RainStates(settings, states, roofs, steps.index(rain.intensity_mm_h or OPENING_MM_H))
 
 
-def _state(simulation: RainSimulation, sky: dict[bool, SkyLight]) -> dict[str, Any]:
+def _state(simulation: RainSimulation, scene: Scene, sky: dict[bool, SkyLight]) -> dict[str, Any]:
     state, overcast = simulation.state, simulation.overcast_at(0.0)
     light = sky[False].mixed(sky[True], overcast)
     own = simulation.rain.drop_color
@@ -112,6 +113,7 @@ def _state(simulation: RainSimulation, sky: dict[bool, SkyLight]) -> dict[str, A
         "overcast": overcast,
         "drops": own or light.drops,
         "airlight": own or light.airlight,
+        "mirror": mirror_state(simulation, scene, light),
     }
 
 
