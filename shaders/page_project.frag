@@ -14,7 +14,7 @@ layout(location = 1) out uvec4 rest;   // second axis, depth and appearance
 uniform int first_row, count;
 
 #ifdef STREAKS
-uniform sampler2D streaks;   // three texels each: center, opacity; direction, sigma along; sigma across
+uniform sampler2D streaks;   // three texels each: center, opacity; direction, sigma along; sigma across, and in a third direction
 uniform mat4 moved;          // from the frame of the camera that they were made for
 uniform vec3 display_color;
 #else
@@ -89,12 +89,16 @@ void main() {
 #ifdef STREAKS
     ivec2 at = ivec2(3 * (number % STREAK_COLUMNS), number / STREAK_COLUMNS);
     vec4 place = texelFetch(streaks, at, 0), direction = texelFetch(streaks, at + ivec2(1, 0), 0);
-    float across = texelFetch(streaks, at + ivec2(2, 0), 0).x, opacity = place.w;
+    vec4 sideways = texelFetch(streaks, at + ivec2(2, 0), 0);
+    float opacity = place.w;
     place = moved * vec4(place.xyz, 1.0);
     direction.xyz = mat3(moved) * direction.xyz;
-    vec3 side = normalize(
-        abs(direction.x) < 0.7 ? cross(direction.xyz, vec3(1, 0, 0)) : cross(direction.xyz, vec3(0, 1, 0)));
-    mat3 axes = mat3(across * side, across * cross(direction.xyz, side), direction.w * direction.xyz);
+    vec3 side = mat3(moved) * sideways.yzw;
+    if (dot(side, side) == 0.0) {
+        side = abs(direction.x) < 0.7 ? cross(direction.xyz, vec3(1, 0, 0)) : cross(direction.xyz, vec3(0, 1, 0));
+        side *= sideways.x / length(side);
+    }
+    mat3 axes = mat3(side, sideways.x * cross(direction.xyz, normalize(side)), direction.w * direction.xyz);
     if (!project(place.xyz, axes, opacity, true, false, false, splat)) return;
     set_color(splat, display_color);
 #else

@@ -4,7 +4,21 @@
 const LOWEST_CAMERA = 0.05;  // over the ground
 const AHEAD = 8, AROUND = 6, AROUND_PER_HEIGHT = 2, REACH = 2.5, PLANE_STEP = 0.5, RIDGE = 1e-3, DRY = 0.1;  // of the plane of uneven ground
 
-let unevenGround = null, mirrorImages = null;
+let ground = null, mirrorImages = null;
+
+// Heights and shares of film and standing water (in 1/255) of the cells of the ground's map; null without a map.
+async function openGround(files) {
+  const {map} = settings;
+  if (!map) return null;
+  const pixels = pixelsOf(await imageTexture(files["ground.webp"])), cells = map.rows * map.columns, [film, standing] = [new Uint8Array(cells), new Uint8Array(cells)];
+  const heights = new Float32Array(cells);
+  for (let k = 0; k < cells; ++k) {
+    heights[k] = map.lowest + map.step * (pixels[4 * k] + 256 * pixels[4 * k + 1]);
+    film[k] = pixels[4 * k + 2];
+    standing[k] = pixels[4 * k + 3];
+  }
+  return ground = {map, heights, film, standing};
+}
 
 // Data of the mirror, out of the page's files: textures of the water on each Gaussian, of facets and of the ground below each.
 async function openMirror(files, places, textures) {
@@ -12,20 +26,15 @@ async function openMirror(files, places, textures) {
     textures.water = textures.floors = emptyTexture();
     return null;
   }
-  const {map} = settings.mirror, count = places.length / 3;
+  const count = places.length / 3;
   textures.water = await imageTexture(files["water.webp"]);
   scene.facets = texture(gl.RGB32F, 128, settings.states.length + 1, gl.RGB, gl.FLOAT, new Float32Array(files.facets.buffer));
   scene.actorFloors = new Float32Array(files.floors.buffer);
   const codes = pixelsOf(textures.water), reflected = Uint32Array.from({length: count}, (_, i) => i).filter(i => codes[4 * i + 2] > 0);
-  if (!map) {
+  if (!settings.mirror.isUneven) {
     textures.floors = emptyTexture();
     return {reflected, floors: null};
   }
-  const pixels = pixelsOf(await imageTexture(files["ground.webp"])), cells = map.rows * map.columns;
-  unevenGround = {
-    heights: Float32Array.from({length: cells}, (_, k) => map.lowest + map.step * (pixels[4 * k] + 256 * pixels[4 * k + 1])),
-    wet: Float32Array.from({length: cells}, (_, k) => pixels[4 * k + 2] / 255),
-  };
   const floors = new Float32Array(COLUMNS * rowsFor(count, COLUMNS));
   for (let i = 0; i < count; ++i) floors[i] = heightAt(places[3 * i], places[3 * i + 1]);
   textures.floors = texture(gl.R32F, COLUMNS, floors.length / COLUMNS, gl.RED, gl.FLOAT, floors);
@@ -33,7 +42,7 @@ async function openMirror(files, places, textures) {
 }
 
 function heightAt(x, y) {  // of uneven ground, linear between the middles of cells
-  const {corner, cell, rows, columns} = settings.mirror.map, {heights} = unevenGround;
+  const {corner, cell, rows, columns} = settings.map, {heights} = ground;
   const u = Math.min(Math.max((x - corner[0]) / cell - 0.5, 0), columns - 1), v = Math.min(Math.max((y - corner[1]) / cell - 0.5, 0), rows - 1);
   const left = Math.min(Math.floor(u), Math.max(columns - 2, 0)), low = Math.min(Math.floor(v), Math.max(rows - 2, 0));
   const right = Math.min(left + 1, columns - 1), high = Math.min(low + 1, rows - 1), part = u - left;
@@ -43,9 +52,8 @@ function heightAt(x, y) {  // of uneven ground, linear between the middles of ce
 
 // A camera over level ground at a height; over uneven ground the world is turned so that the plane before the camera is level.
 function leveled(camera) {
-  const {map, ground} = settings.mirror;
-  if (!map) return {camera, ground};
-  const {corner, cell, rows, columns} = map, [x, y, z] = camera.position, below = heightAt(x, y);
+  if (!settings.mirror.isUneven) return {camera, height: settings.mirror.ground};
+  const {corner, cell, rows, columns} = settings.map, [x, y, z] = camera.position, below = heightAt(x, y);
   const around = AROUND + AROUND_PER_HEIGHT * Math.max(z - below, 0), stride = Math.max(Math.floor(PLANE_STEP / cell), 1);
   const middle = [0, 1].map(k => camera.position[k] + AHEAD * camera.axes[2][k]);
   const [firstX, firstY] = middle.map((each, k) => Math.max(Math.trunc((each - REACH * around - corner[k]) / cell), 0));
@@ -54,21 +62,21 @@ function leveled(camera) {
   for (let row = firstY; row < lastY; row += stride)
     for (let column = firstX; column < lastX; column += stride) {
       const px = corner[0] + (column + 0.5) * cell, py = corner[1] + (row + 0.5) * cell, at = row * columns + column;
-      const weight = (DRY + unevenGround.wet[at]) * Math.exp(-0.5 * ((px - middle[0]) ** 2 + (py - middle[1]) ** 2) / around ** 2);
+      const weight = (DRY + Math.max(ground.film[at], ground.standing[at]) / 255) * Math.exp(-0.5 * ((px - middle[0]) ** 2 + (py - middle[1]) ** 2) / around ** 2);
       const terms = [1, (px - x) / around, (py - y) / around];
       for (let k = 0; k < 3; ++k) {
-        values[k] += weight * terms[k] * (unevenGround.heights[at] - below);
+        values[k] += weight * terms[k] * (ground.heights[at] - below);
         for (let j = 0; j < 3; ++j) sums[k][j] += weight * terms[k] * terms[j];
       }
     }
-  if (!(sums[0][0] > 0)) return {camera, ground: below};
+  if (!(sums[0][0] > 0)) return {camera, height: below};
   sums[1][1] += RIDGE * sums[0][0];
   sums[2][2] += RIDGE * sums[0][0];
-  const [height, slopeX, slopeY] = solved(sums, values), length = Math.hypot(slopeX / around, slopeY / around, 1);
-  const turn = upright([-slopeX / around / length, -slopeY / around / length, 1 / length]), foot = [x, y, below + height];
+  const [rise, slopeX, slopeY] = solved(sums, values), length = Math.hypot(slopeX / around, slopeY / around, 1);
+  const turn = upright([-slopeX / around / length, -slopeY / around / length, 1 / length]), foot = [x, y, below + rise];
   const shift = times(turn, foot).map((each, k) => foot[k] - each);
   const position = times(turn, camera.position).map((each, k) => each + shift[k]);
-  return {camera: {...camera, position, axes: camera.axes.map(axis => times(turn, axis))}, ground: foot[2]};
+  return {camera: {...camera, position, axes: camera.axes.map(axis => times(turn, axis))}, height: foot[2]};
 }
 
 function solved(matrix, values) {  // of three linear equations, by Cramer's rule
@@ -84,18 +92,18 @@ const upright = ([a, b, c]) => [  // smallest turn of a direction upward
 // lowest to the highest; the rest is of the mirror image, from its uppermost row on. Null where no ground is in view.
 function mirrorOf(camera) {
   if (!settings.mirror) return null;
-  const {camera: level, ground} = leveled(camera), [across, along] = settings.mirror.scales, above = level.position[2] - ground;
+  const {camera: level, height} = leveled(camera), [across, along] = settings.mirror.scales, above = level.position[2] - height;
   const upward = level.axes.map(axis => axis[2]), {fx, fy, cx, cy} = camera;
   const isGround = row => [0, camera.width].some(x => upward[0] * (x - cx) / fx + upward[1] * ((row + 0.5) / along - cy) / fy + upward[2] < 0);
   const rows = Array.from({length: Math.max(Math.ceil(along * camera.height), 1)}, (_, row) => row).filter(isGround);
   if (!(above > LOWEST_CAMERA) || !rows.length) return null;
   const first = rows[0], last = rows.at(-1) + 1, [right, down, ahead] = level.axes, [x, y, z] = level.position;
   const below = {
-    ...level, position: [x, y, 2 * ground - z], axes: [[right[0], right[1], -right[2]], [-down[0], -down[1], down[2]], [ahead[0], ahead[1], -ahead[2]]],
+    ...level, position: [x, y, 2 * height - z], axes: [[right[0], right[1], -right[2]], [-down[0], -down[1], down[2]], [ahead[0], ahead[1], -ahead[2]]],
     width: Math.max(Math.ceil(across * camera.width), 1), height: last - first,
     fx: across * fx, fy: along * fy, cx: across * cx, cy: last - along * cy,
   };
-  return {below, ground, above, upward, first_row: first, mirror_size: [below.width, below.height],
+  return {below, ground: height, above, upward, first_row: first, mirror_size: [below.width, below.height],
           intrinsics: [across * fx, along * fy, across * cx, along * cy - first]};
 }
 

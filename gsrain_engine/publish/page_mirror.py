@@ -1,4 +1,4 @@
-"""Mirror of a page: the water on its Gaussians, uneven ground, and what films and standing water reflect in each rain.
+"""Mirror of a page: the water on its Gaussians, and what films and standing water reflect in each rain.
 
 The page draws the mirror as `water/mirror.py` does, without rings: all of them are roughness there.
 """
@@ -13,8 +13,6 @@ from ..rain.frame import SkyLight
 from ..rain.simulation import RainSimulation
 from ..rain.wetness import flooded_share
 from ..render.mirror import reflected_item, standing_water
-from ..scene.camera import Camera
-from ..scene.formats.sog_writer import lossless_image
 from ..scene.ground_water import FILM_SLOPE, STANDING_SLOPE, GroundWater
 from ..scene.scene import DrawItem, Scene
 from ..water.films import WaterFilms
@@ -24,8 +22,6 @@ from ..water.rings import standing_slope
 
 GROWTH_STEPS = 127
 """Steps of the growth of a reflected Gaussian from 1 to 2."""
-HEIGHT_STEP_M = 0.005
-_AROUND_PATH_M = 100.0  # of uneven ground on a page
 
 
 def water_codes(item: DrawItem, scene: Scene) -> UInt8[np.ndarray, "n 3"]:
@@ -59,47 +55,20 @@ class PageMirror(NamedTuple):
     """Values common to all intensities, in the names of `mirror.js`."""
     facets: Float32[np.ndarray, "rows angles 3"]
     """`facet_table` of films, and then of standing water in each state."""
-    ground: bytes | None
-    """Lossless image of uneven ground: height in steps (red and 256 green), share of water (blue); None if level."""
 
 
-def page_mirror(scene: Scene, states: Sequence[dict[str, Any]], cameras: Sequence[Camera]) -> PageMirror | None:
-    """Mirror for the states of a rain (`mirror_state` of each) and a path; None if none of them has any."""
+def page_mirror(scene: Scene, states: Sequence[dict[str, Any]]) -> PageMirror | None:
+    """Mirror for the states of a rain (`mirror_state` of each); None if none of them has any."""
     mirrors = [state["mirror"] for state in states]
     if scene.water is None or not any(mirrors):
         return None
     slopes = [STANDING_SLOPE if each is None else each["slopes"][1] for each in mirrors]
     facets = np.stack([facet_table(slope) for slope in (FILM_SLOPE, *slopes)])
     settings: dict[str, Any] = {
-        "scales": SCALES, "growthSteps": GROWTH_STEPS, "ground": scene.ground_m or 0.0, "map": None
+        "scales": SCALES, "growthSteps": GROWTH_STEPS, "ground": scene.ground_m or 0.0,
+        "isUneven": scene.water.heights_m is not None,
     }  # fmt: skip
-    if scene.water.heights_m is None:
-        return PageMirror(settings, facets, None)
-    settings["map"], ground = _ground_map(scene.water, scene.water.heights_m, cameras)
-    return PageMirror(settings, facets, ground)
-
-
-def _ground_map(
-    water: GroundWater, heights_m: Float32[np.ndarray, "rows columns"], cameras: Sequence[Camera]
-) -> tuple[dict[str, Any], bytes]:
-    """Uneven ground around a path."""
-    places = np.array([camera.position[:2] for camera in cameras])
-    corner, size = np.array(water.corner_m), np.array(heights_m.shape[::-1])
-    low = (places.min(axis=0) - _AROUND_PATH_M - corner) / water.cell_m
-    high = (places.max(axis=0) + _AROUND_PATH_M - corner) / water.cell_m
-    first = np.clip(low.astype(np.int64), 0, size - 1)
-    last = np.clip(high.astype(np.int64) + 1, first + 1, size)
-    own = slice(first[1], last[1]), slice(first[0], last[0])
-    heights, wet = heights_m[own], water.cover[own].max(axis=2)
-    lowest = float(heights.min())
-    steps = np.clip(np.rint((heights - lowest) / HEIGHT_STEP_M), 0, 65535).astype(np.int64)
-    pixels = np.stack([steps & 255, steps >> 8, wet], axis=2).astype(np.uint8)
-    rows, columns = heights.shape
-    values = {
-        "corner": (corner + first * water.cell_m).tolist(), "cell": water.cell_m, "rows": rows, "columns": columns,
-        "lowest": lowest, "step": HEIGHT_STEP_M,
-    }  # fmt: skip
-    return values, lossless_image(pixels.reshape(-1, 3), columns)
+    return PageMirror(settings, facets)
 
 
 def mirror_state(simulation: RainSimulation, scene: Scene, light: SkyLight) -> dict[str, Any] | None:

@@ -182,7 +182,7 @@ async function open(report) {
     for (let k = 0; k < 3; ++k)
       fixed[3 * i + k] = rotation[k][0] * place[0] + rotation[k][1] * place[1] + rotation[k][2] * place[2] + origin[k];
   }
-  const mirror = await openMirror(all, fixed, textures);
+  const ground = await openGround(all), mirror = await openMirror(all, fixed, textures), impacts = new Float32Array(all.impacts.buffer);
   await report("Preparing the graphics card");
   worker = new Worker(URL.createObjectURL(new Blob([element("rain-script").textContent], {type: "text/javascript"})));
   worker.onmessage = ({data}) => { waiting.get(data.id)(data); waiting.delete(data.id); };
@@ -190,7 +190,7 @@ async function open(report) {
   const actors = settings.actors ? pixelsOf(textures.actors) : null;
   const members = actors && Uint16Array.from({length: count}, (_, i) => actors[4 * i] + 256 * actors[4 * i + 1]);
   if (settings.rain.roofs) settings.rain.roofs.heights = new Float32Array(all.roofs.buffer);
-  worker.postMessage({fixed, members, mirror, states: settings.states, settings: settings.rain});
+  worker.postMessage({fixed, members, mirror, ground, impacts, states: settings.states, settings: settings.rain});
   const text = name => element(name).textContent;
   programs = {
     scene: new Program(text("page_quad.vert"), text("page_project.frag")),
@@ -263,7 +263,7 @@ function projectScene(view, medium, drawn, rain, rows, mirror = null) {
   gl.bindFramebuffer(gl.FRAMEBUFFER, scene.target);
   gl.viewport(0, 0, COLUMNS, rows);
   programs.scene.use({...view, ...medium, ...scene, ...scene.textures, first_row: 0, has_actors: settings.actors > 0, wetness: settings.hasWet ? rain.wetness : 0,
-                      antialiased: settings.antialiased, has_medium: rain.extinction > 0, is_mirrored: Boolean(mirror), is_uneven: Boolean(mirror && settings.mirror.map),
+                      antialiased: settings.antialiased, has_medium: rain.extinction > 0, is_mirrored: Boolean(mirror), is_uneven: Boolean(mirror && settings.mirror.isUneven),
                       level: [...settings.toWorld.rotation[2], mirror ? mirror.ground : 0], growth_steps: mirror ? settings.mirror.growthSteps : 1});
   gl.drawArrays(gl.TRIANGLES, 0, 3);
 }
@@ -291,7 +291,7 @@ function blendSplats(image, view, medium, rain, ids, rows, {from, to, falls, is_
 
 // Draws one state of the rain into the columns of the canvas from `left` to `right` (shares of the width).
 function drawPart(camera, drawn, rain, left, right) {
-  const count = drawn.streaks.length / STREAK_FLOATS, rows = makeRoom(count), view = projection(camera), falls = rain.density > 0;
+  const count = drawn.streaks.length / STREAK_FLOATS, rows = makeRoom(count), view = projection(camera), falls = rain.density > 0 || Boolean(rain.splashes);
   const medium = {medium_numbers: drawn.numbers, medium_drawn: drawn.drawn, medium_floor: drawn.floor, airlight: linear(rain.airlight)};
   const mirror = rain.mirror && drawn.reflected ? mirrorOf(camera) : null;
   if (mirror) drawMirror(mirror, camera, drawn, rain);
