@@ -297,13 +297,13 @@ class Rain {
 // Gaussians in a camera's frame, `STREAK_FLOATS` each.
 class StreakRows {
   constructor(settings, shutter, camera) {
-    Object.assign(this, {settings, shutter, camera, count: 0, rows: new Float32Array(STREAK_FLOATS * 4096), place: [0, 0, 0], moves: [0, 0, 0]});
+    Object.assign(this, {settings, shutter, camera, count: 0, rows: new Float32Array(STREAK_FLOATS * 4096), place: [0, 0, 0], velocity: [0, 0, 0]});
   }
 
   get all() { return this.rows.subarray(0, STREAK_FLOATS * this.count); }
 
   // A Gaussian; a splash is moved towards the camera and made smaller, so that the ground does not cover it.
-  add([x, y, z], opacity, direction, along, across, side, isSplash) {
+  add(x, y, z, opacity, direction, along, across, side, isSplash) {
     if ((this.count + 1) * STREAK_FLOATS > this.rows.length) {
       const more = new Float32Array(2 * this.rows.length);
       more.set(this.rows);
@@ -321,7 +321,7 @@ class StreakRows {
 
   // The streak of a drop at a place (world, from the camera) that moves (m/s) and has a diameter in mm.
   addDrop(x, y, z, [moveX, moveY, moveZ], millimeters, isSplash = false) {
-    const {settings, place: p, moves: v} = this, {exposure, focal, aperture, focus, readout, scan} = this.shutter;
+    const {settings, place: p, velocity: v} = this, {exposure, focal, aperture, focus, readout, scan} = this.shutter;
     const {axes, velocity: [ownX, ownY, ownZ]} = this.camera, vx = moveX - ownX, vy = moveY - ownY, vz = moveZ - ownZ, across = Math.sqrt(2 * Math.PI);
     for (let k = 0; k < 3; ++k) {
       const axis = axes[k];
@@ -357,7 +357,7 @@ class StreakRows {
     const scale = 1 / Math.max(speed, 1e-9), direction = [scale * v[0], scale * v[1], scale * v[2]];
     for (let copy = 0; copy < copies; ++copy) {
       const offset = (copy - (copies - 1) / 2) * (length / copies);
-      this.add([p[0] + offset * direction[0], p[1] + offset * direction[1], p[2] + offset * direction[2]], opacity, direction, sigmaAlong, sigma, null, isSplash);
+      this.add(p[0] + offset * direction[0], p[1] + offset * direction[1], p[2] + offset * direction[2], opacity, direction, sigmaAlong, sigma, null, isSplash);
     }
   }
 }

@@ -100,7 +100,7 @@ class Splashes {
     const [first, second, third] = [along, across, upwards].map(each => Math.hypot(each, circle));
     const opacity = between(alpha * across * upwards / Math.sqrt(first * second) / third, 0, 1), heading = Math.atan2(vy, vx);
     const side = axes.map(axis => axis[0] * Math.cos(heading) + axis[1] * Math.sin(heading));
-    rows.add(center, opacity, axes.map(axis => axis[2]), third, second, side.map(each => first * each), true);
+    rows.add(...center, opacity, axes.map(axis => axis[2]), third, second, side.map(each => first * each), true);
   }
 
   _addDroplet(rows, time, drop, number, eye, distance, focal) {
