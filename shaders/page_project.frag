@@ -33,7 +33,7 @@ uniform sampler2D poses;   // a row for each actor: three rows of its matrix, an
 
 // In a mirror, some Gaussians are left out, the others larger, and what is over uneven ground is moved to a level one.
 uniform bool is_mirrored, is_uneven;
-uniform sampler2D water;   // of each Gaussian, as water_codes of page_mirror.py
+uniform highp usampler2D reflected;  // numbers of those in it, and in the upper 8 bits 1 and in steps how much larger they are
 uniform sampler2D floors;  // height of uneven ground below each Gaussian that does not move (m)
 uniform vec4 level;        // upward in the object's frame, and the height of level ground (m)
 uniform float growth_steps;
@@ -103,8 +103,13 @@ void main() {
     set_color(splat, display_color);
 #else
     ivec2 own = ivec2(number % SPLAT_COLUMNS, number / SPLAT_COLUMNS);
-    float reflected = is_mirrored ? 255.0 * texelFetch(water, own, 0).b : 1.0;
-    if (reflected < 0.5) return;
+    float growth = 1.0;
+    if (is_mirrored) {
+        uint code = texelFetch(reflected, own, 0).r;
+        growth += (float(code >> 24) - 1.0) / growth_steps;
+        number = int(code & 0xFFFFFFu);
+        own = ivec2(number % SPLAT_COLUMNS, number / SPLAT_COLUMNS);
+    }
     ivec2 size = textureSize(means_low, 0), at = ivec2(number % size.x, number / size.x);
     vec3 steps = 255.0 * texelFetch(means_low, at, 0).rgb + 65280.0 * texelFetch(means_high, at, 0).rgb;
     vec3 logarithm = mix(means_minimum, means_maximum, steps / 65535.0);
@@ -128,7 +133,7 @@ void main() {
     }
     if (!(p.z > near)) return;  // also where it is absent
     mat3 axes = mat3(to_camera) * rotation_matrix(quaternion(texelFetch(quaternions, at, 0)));
-    vec3 s = exp(looked_up(texelFetch(scales, at, 0).rgb, 0)) * (1.0 + max(reflected - 1.0, 0.0) / growth_steps);
+    vec3 s = exp(looked_up(texelFetch(scales, at, 0).rgb, 0)) * growth;
     axes = mat3(axes[0] * s.x, axes[1] * s.y, axes[2] * s.z);
     if (!project(p, axes, texelFetch(base, at, 0).a, false, false, antialiased, splat)) return;
     vec3 direction = normalize(transpose(mat3(to_camera)) * p);

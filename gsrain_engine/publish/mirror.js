@@ -23,7 +23,7 @@ async function openGround(files) {
 // Data of the mirror, out of the page's files: textures of the water on each Gaussian, of facets and of the ground below each.
 async function openMirror(files, places, textures) {
   if (!settings.mirror) {
-    textures.water = textures.floors = emptyTexture();
+    Object.assign(textures, {water: emptyTexture(), floors: emptyTexture(), reflected: texture(gl.R32UI, 1, 1)});
     return null;
   }
   const count = places.length / 3;
@@ -31,6 +31,9 @@ async function openMirror(files, places, textures) {
   scene.facets = texture(gl.RGB32F, 128, settings.states.length + 1, gl.RGB, gl.FLOAT, new Float32Array(files.facets.buffer));
   scene.actorFloors = new Float32Array(files.floors.buffer);
   const codes = pixelsOf(textures.water), reflected = Uint32Array.from({length: count}, (_, i) => i).filter(i => codes[4 * i + 2] > 0);
+  scene.reflected = reflected.length;
+  textures.reflected = texture(gl.R32UI, COLUMNS, rowsFor(reflected.length, COLUMNS));
+  upload(textures.reflected, COLUMNS, 1, reflected.map(i => i | codes[4 * i + 2] << 24), gl.RED_INTEGER, gl.UNSIGNED_INT);
   if (!settings.mirror.isUneven) {
     textures.floors = emptyTexture();
     return {reflected, floors: null};
@@ -120,7 +123,7 @@ function drawMirror(mirror, camera, drawn, rain) {
   const {below, upward, mirror_size, intrinsics, above} = mirror, [width, height] = mirror_size, rows = makeRoom(0), view = projection(below);
   makeMirrorImages(width, Math.max(height, Math.ceil(settings.mirror.scales[1] * camera.height)));
   const far = {medium_numbers: drawn.numbers, medium_drawn: new Float32Array(64), medium_floor: [0, 0, 0, 1e9], airlight: linear(rain.airlight)};
-  projectScene(view, far, drawn, rain, rows, mirror);
+  projectScene(view, far, drawn, rain, rowsFor(scene.reflected, COLUMNS), mirror);
   blendSplats(screen.wetTarget, view, far, rain, drawn.reflected, rows, {from: 0, to: width, falls: false, is_mirrored: true});
   gl.disable(gl.BLEND);
   gl.disable(gl.SCISSOR_TEST);

@@ -393,7 +393,7 @@ class DepthOrder {
     }
   }
 
-  // With `level`, of those that a mirror shows only, over level ground: its height, and the heights below actors.
+  // With `level`, their numbers among those that a mirror shows only, over level ground: its height, and the heights below actors.
   of(camera, streaks, near, level = null) {
     const {fixed, value, bits, members} = this, count = fixed.length / 3, more = streaks.length / STREAK_FLOATS;
     const {reflected, floors} = level ? this.mirror : {reflected: null, floors: null}, all = reflected ? reflected.length : count;
@@ -409,8 +409,8 @@ class DepthOrder {
       if (floors) depth += z * (level.ground - (members && members[i] ? level.actors[members[i] - 1] : floors[i]));
       if (!(depth > near)) continue;
       value[0] = depth;
-      keys[i] = 0x3FFFFF - Math.min((bits[0] - first) >>> 6, 0x3FFFFF);
-      ids[n++] = i;
+      keys[j] = 0x3FFFFF - Math.min((bits[0] - first) >>> 6, 0x3FFFFF);
+      ids[n++] = j;
     }
     for (let i = 0; i < more; ++i) {
       const depth = streaks[STREAK_FLOATS * i + 2];

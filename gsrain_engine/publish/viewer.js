@@ -262,7 +262,7 @@ function projectScene(view, medium, drawn, rain, rows, mirror = null) {
   gl.disable(gl.SCISSOR_TEST);
   gl.bindFramebuffer(gl.FRAMEBUFFER, scene.target);
   gl.viewport(0, 0, COLUMNS, rows);
-  programs.scene.use({...view, ...medium, ...scene, ...scene.textures, first_row: 0, has_actors: settings.actors > 0, wetness: settings.hasWet ? rain.wetness : 0,
+  programs.scene.use({...view, ...medium, ...scene, ...scene.textures, first_row: 0, count: mirror ? scene.reflected : scene.count, has_actors: settings.actors > 0, wetness: settings.hasWet ? rain.wetness : 0,
                       antialiased: settings.antialiased, has_medium: rain.extinction > 0, is_mirrored: Boolean(mirror), is_uneven: Boolean(mirror && settings.mirror.isUneven),
                       level: [...settings.toWorld.rotation[2], mirror ? mirror.ground : 0], growth_steps: mirror ? settings.mirror.growthSteps : 1});
   gl.drawArrays(gl.TRIANGLES, 0, 3);
