@@ -2,8 +2,8 @@
 
 The page draws what `gsrain render` draws, but for what `left_out_of_page` lists. Its drops are those of `rain.js` and
 `splashes.js`, which compute the integers of `drop_field.py` and `impacts.py` again, its mirror of wet ground is that of
-`mirror.js`, and its shaders share their common parts with the desktop's. Viewers of others draw no streaks: an alpha of 0.01 is below what they keep in
-eight bits, and rain adds in linear light.
+`mirror.js`, and its shaders share their common parts with the desktop's. Viewers of others draw no streaks: an alpha of
+0.01 is below what they keep in eight bits, and rain adds in linear light.
 """
 
 import base64

@@ -72,7 +72,7 @@ def page_mirror(scene: Scene, states: Sequence[dict[str, Any]]) -> PageMirror | 
 
 
 def mirror_state(simulation: RainSimulation, scene: Scene, light: SkyLight) -> dict[str, Any] | None:
-    """What films and standing water of steady rain reflect; None without a mirror.
+    """Light that films and standing water reflect in steady rain, and their slopes; None without a mirror.
 
     `weights` are those of the light of a film and of standing water, in what the map's films reflect, and its dips.
     """
