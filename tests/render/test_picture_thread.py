@@ -155,12 +155,19 @@ def test_a_picture_of_full_quality_is_given_up_for_a_newer_view_but_never_two_in
     pictures.close()
 
 
-def test_the_window_wakes_when_a_picture_is_drawn(editor, pictures):
+def test_the_window_wakes_when_a_picture_is_drawn_and_only_then(editor, pictures):
     pictures.close()
     drawn = threading.Event()
     thread = PictureThread(OwnContext(), "opengl", drawn.set)
     begin(editor, thread)
     assert drawn.wait(60) and thread.wait(0.0) and thread.take() is not None and not thread.wait(0.0)
+    for turn, wakes in ((0.0, False), (0.3, True)):
+        drawn.clear()
+        editor.viewport.navigation.orbit(turn, 0.0)
+        begin(editor, thread)
+        thread.wait()
+        assert (thread.take().result.drawn is not None) == wakes
+        assert drawn.is_set() == wakes
     thread.close()
 
 

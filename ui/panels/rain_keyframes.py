@@ -92,21 +92,24 @@ def _buttons(editor: Editor) -> None:
     present = document.keyframes.key_at(now_s)
     is_here = present is not None and present.intensity_mm_h is not None
     action = "Remove the keyframe" if is_here else "Insert a keyframe of the present intensity"
-    if button("Remove keyframe###now" if is_here else "Insert keyframe###now", f"{action} at {now_s:.2f} s."):
+    if button(
+        "Remove intensity keyframe###now" if is_here else "Insert intensity keyframe###now",
+        f"{action} at {now_s:.2f} s.",
+    ):
         toggle_keyframe(document, editor.viewport, playback, "intensity_mm_h")
     same_line_if_fits("Add passing shower")
     if button("Add passing shower", help_of("Add passing shower")):
         add_passing_shower(document, playback, editor.keyframe_panel)
-    same_line_if_fits("Import...")
-    if button("Import...", _IMPORT_HELP, enabled=calibration.busy is None):
+    same_line_if_fits("Import disdrometer series...")
+    if button("Import disdrometer series...###import", _IMPORT_HELP, enabled=calibration.busy is None):
         ask_for_rate_file(calibration)
     same_line_if_fits("Fit##shower")
     if button(
         f"{icons_fontawesome_6.ICON_FA_MAXIMIZE}###fit shower", "Show all keyframes. Wheel: zoom in time. Drag: pan."
     ):
         editor.keyframe_panel.refit = True
-    same_line_if_fits("Clear keyframes")
-    if button("Clear keyframes", help_of("Clear rain keyframes"), enabled=bool(document.keyframes.keys)):
+    same_line_if_fits("Clear rain keyframes")
+    if button("Clear rain keyframes", help_of("Clear rain keyframes"), enabled=bool(document.keyframes.keys)):
         clear_keyframes(document)
     if calibration.busy is not None:
         imgui.text_disabled(calibration.busy)
@@ -127,11 +130,11 @@ def _series(editor: Editor, name: str, reading: DisdrometerReading) -> None:
     width = 5.5 * imgui.get_font_size()
     imgui.set_next_item_width(width)
     _, keyframe_panel.speed_up = imgui.drag_float(
-        "times faster", keyframe_panel.speed_up, 0.5, 1.0, 10_000.0, "%.0f", LOGARITHMIC
+        "Times faster", keyframe_panel.speed_up, 0.5, 1.0, 10_000.0, "%.0f", LOGARITHMIC
     )
     imgui.set_item_tooltip("Compresses time: at 60, a minute of the series takes a second of the scene.")
     imgui.set_next_item_width(width)
-    _, keyframe_panel.start_s = imgui.drag_float("starts at (s)", keyframe_panel.start_s, 0.1, -1e6, 1e6, "%.1f")
+    _, keyframe_panel.start_s = imgui.drag_float("Starts at (s)", keyframe_panel.start_s, 0.1, -1e6, 1e6, "%.1f")
     imgui.set_item_tooltip("Time of the first record in the scene, in seconds.")
     if button("Use it", "Replace the present keyframes by the series."):
         document.edit_keyframes(f"Series {name}", replace_keyframes, measured.weather)

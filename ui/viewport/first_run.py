@@ -21,9 +21,9 @@ from .notices import card
 _WIDTH_EM = 30.0
 _OFFERED = {
     "Open...": icons.ICON_FA_FOLDER_OPEN, "Open the built-in street": icons.ICON_FA_ROAD,
-    "Open a capture...": icons.ICON_FA_IMAGES, "What's new": icons.ICON_FA_GIFT,
+    "Open capture folder...": icons.ICON_FA_IMAGES, "What's new": icons.ICON_FA_GIFT,
 }  # fmt: skip
-_TITLES = {"Open a capture...": "From images: open a capture, then reconstruct it..."}
+_TITLES = {"Open capture folder...": "From images: open a capture, then reconstruct it..."}
 _MAX_RECENT = 6
 
 
@@ -67,7 +67,7 @@ def draw_hint(editor: Editor, corner: ImVec2, left: float, height: int) -> ImVec
     steps = (
         ("Open a scene", "Open...", "Choose a file or folder of Gaussians.", files.source not in (None, "street")),
         ("Let it rain", "Moderate 5 mm/h", "Set 5 mm/h.", document.rain_now.intensity_mm_h > 0),
-        ("Record a video", "Record the timeline...", "Choose a place for the video.", has_recorded),
+        ("Record a video", "Record timeline...", "Choose a place for the video.", has_recorded),
     )
     if all(is_done for *_, is_done in steps):
         preferences.set(hint=False)
@@ -162,7 +162,9 @@ def draw_setup_bar(editor: Editor, corner: ImVec2, left: float, width: int) -> N
         if button(title, "Let it rain, which ends the set-up."):
             setup.rain()
         imgui.same_line()
-        if button("Close###close set-up", "Close this bar; the tools Level, Measure and Set origin do the same."):
+        if button(
+            "Close###close set-up", "Close this bar; the tools Level, Measure, and Set origin or ego start do the same."
+        ):
             setup.is_open = False
     imgui.pop_style_var()
 

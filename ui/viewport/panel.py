@@ -1,7 +1,6 @@
 """The viewport: image, navigation by mouse and keys, region outlines, and bars."""
 
 from collections.abc import Sequence
-from typing import get_args
 
 from imgui_bundle import ImVec2, ImVec4, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
@@ -9,11 +8,10 @@ from imgui_bundle import icons_fontawesome_6 as icons
 from gsrain_engine.editor.drawing.frame import DrawResult
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.rain_regions import region_outlines
-from gsrain_engine.editor.viewport.options import Split
 from gsrain_engine.editor.viewport_state import ViewportState
-from gsrain_engine.render.renderer import RenderMode
 
 from ..commands.keys import chord_name
+from ..commands.table import RENDER_MODE_HELP, SPLIT_HELP
 from ..folding import FoldedPanels
 from ..parts import bind_parts
 from ..tools import TOOLS
@@ -195,11 +193,13 @@ def view_bar(editor: Editor) -> None:
             act()
         imgui.same_line()
     _, editor.viewport.options.follow_path = imgui.checkbox("Follow path", editor.viewport.options.follow_path)
-    imgui.set_item_tooltip("Follow the camera path: your own keyframes, else the ego vehicle's drive or a swing (V).")
+    imgui.set_item_tooltip(
+        "Follow the camera path: your own keyframes, else the recording vehicle's drive, or a swing (V)."
+    )
     imgui.same_line()
     for field, title, choices, width_em, help_text in (
-        ("look", "Mode", get_args(RenderMode), 9, "Render mode of the viewport."),
-        ("split", "Compare", get_args(Split), 11, "Compare two images side by side."),
+        ("look", "Mode", RENDER_MODE_HELP, 9, "Render mode of the viewport."),
+        ("split", "Compare", SPLIT_HELP, 11, "Compare two images side by side."),
     ):
         imgui.set_next_item_width(width_em * imgui.get_font_size())
         present = getattr(editor.viewport.options, field)
@@ -207,8 +207,10 @@ def view_bar(editor: Editor) -> None:
             for each in choices:
                 if imgui.selectable(each, each == present)[0]:
                     setattr(editor.viewport.options, field, each)
+                imgui.set_item_tooltip(choices[each])
             imgui.end_combo()
-        imgui.set_item_tooltip(help_text)
+        else:
+            imgui.set_item_tooltip(f"{help_text}\n{choices[present]}")
         imgui.same_line()
     words = f"{editor.playback.clock.time_s:.2f} s   Fly speed {editor.viewport.navigation.speed_m_s:.3g} m/s"
     if imgui.calc_text_size(words).x < imgui.get_content_region_avail().x:

@@ -476,6 +476,8 @@ class SkyColorSampler:
         self._progress: Generator[None, None, SkyColor] | None = None
         self._is_full = False
         """True if the sample in progress draws all Gaussians."""
+        self._skyless: str | None = None
+        """Scene of which it was logged that it shows no sky."""
         self.is_through = True
         """True if no sample is pending, except for an exact one while things move."""
 
@@ -511,7 +513,8 @@ class SkyColorSampler:
                 break
             if not to_the_end:
                 return None
-        if state and not sky.found:  # a scene that is still loading shows nothing
+        if state and not sky.found and scene.name != self._skyless:  # a scene that is still loading shows nothing
+            self._skyless = scene.name
             logger.info("The scene shows no sky: drops take the color of an overcast one")
         self._sampled, self.is_exact, self._progress = state, self._is_full, None
         return sky

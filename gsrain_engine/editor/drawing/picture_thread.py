@@ -53,7 +53,7 @@ class PictureThread:
     def __init__(
         self, context: PictureContext, backend: WindowBackend, on_drawn: Callable[[], object] = lambda: None
     ) -> None:
-        """`on_drawn` is called on any thread whenever `take` has an answer."""
+        """`on_drawn` is called on any thread whenever `take` has something new: a window at rest sleeps otherwise."""
         self._context, self._on_drawn = context, on_drawn
         self._backend: WindowBackend = backend
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="pictures", initializer=lower_thread_priority)
@@ -108,7 +108,7 @@ class PictureThread:
         self._frame = frame
         self._is_abandoned.clear()
         self._drawing = self._thread.submit(self._draw, frame, mosaic)
-        self._drawing.add_done_callback(lambda _: self._on_drawn())
+        self._drawing.add_done_callback(self._announce)
 
     def reconsider(self, view: RenderView, panes: Sequence[SplitPane], mode: RenderMode) -> None:
         """Give up the picture that is being drawn if the present one has another view, scene, rain or mode.
@@ -132,6 +132,12 @@ class PictureThread:
             self._is_closed = True
             self._thread.submit(self._context.leave)
             self._thread.shutdown()
+
+    def _announce(self, drawing: Future[Picture | None]) -> None:
+        """Call `on_drawn` unless a picture is like the last one."""
+        picture = drawing.result() if drawing.exception() is None else None
+        if picture is None or picture.result.has_news or picture.result.textures != self._last.textures:
+            self._on_drawn()
 
     # On the thread
 
