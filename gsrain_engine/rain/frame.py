@@ -16,7 +16,7 @@ from ..scene.lens import ViewBounds, view_bounds
 from .drop_field import FIRST_OF_CLASS, LANES, DropCulling, DropPhases, Drops, air_velocities, mark_drops, place_drops
 from .haze import make_haze
 from .lamp_light import LampLight, light_of_drops, make_lamp_light
-from .medium import RainMedium, make_medium, streak_depths
+from .medium import NO_STREAKS, RainMedium, make_medium, streak_depths
 from .phase import fog_phase, rain_phase
 from .properties import CLASSES
 from .settings import RainSettings
@@ -276,8 +276,9 @@ class RainFrame:
         if extinction <= 0:
             return None
         per_m3 = self.count / float(np.prod(self.period_m)) if has_drops else 0.0
-        far_m = self.culling.class_far_m if self.rain.streaks else np.zeros(0)
-        streaks = streak_depths(self.rain, per_m3, self.diameters_mm, far_m)
+        streaks = NO_STREAKS
+        if self.rain.streaks:
+            streaks = streak_depths(self.rain, per_m3, self.diameters_mm, self.culling.class_far_m)
         view = self.view
         air = self.airlight_linear
         return make_medium(self.rain, extinction, view.camera, view.anchor_to_world, streaks, air, view.floor_m)
