@@ -99,8 +99,8 @@ def draw_view(
     """Draw a scene with its rain into the renderer's image; render modes other than "splats" omit the rain.
 
     Wet colors follow the rain's wetness and fog, and the sky its share of clouds, also if nothing `falls`; without
-    `rainfall` the scene is clear and dry. `only_medium` leaves out drops one by one, splashes, mirror and the light of
-    lamps in the medium, which takes the place of streaks. With the rain's `mirror`, water on the ground reflects the scene. `thinning`
+    `rainfall` the scene is clear and dry. `only_medium` leaves out single drops, splashes and mirror; the medium takes
+    the place of streaks. With the rain's `mirror`, water on the ground reflects the scene. `thinning`
     leaves out some of each part's Gaussians, `reflected` others in mirrors; `selection` tints selected ones; `reuse`
     draws fewer mirrors, and `still` what stands still only once, by a renderer that can; `bands` of the renderer draw
     and read the picture instead. Spray counts in depth: where `has_spray`, draw the scene's own depth without rain.
@@ -112,8 +112,7 @@ def draw_view(
         wetness, overcast = rainfall.wetness_at(shot.time_s), rainfall.overcast_at(shot.time_s)
         soaked = rainfall.soaked_share_at(shot.time_s)
         if falls and look == "splats" and not rainfall.state_at(shot.time_s).is_clear:
-            glow = None if only_medium else lit_lamps
-            rain = rainfall.frame(shot.time_s, rain_camera(scene, rainfall, shot), sky, glow)
+            rain = rainfall.frame(shot.time_s, rain_camera(scene, rainfall, shot), sky, lit_lamps)
             rain = replace(rain, rain=msgspec.structs.replace(rain.rain, streaks=False)) if only_medium else rain
     face = None if shot.camera.lens is None else wide_face(shot.camera)
     level, has_water, standing, depth = None, False, (0.0, 0.0), WaterDepth(0.0, 0.0)
