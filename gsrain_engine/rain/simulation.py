@@ -225,8 +225,8 @@ class RainSimulation:
             if is_paper:
                 where = drop_phases(motion.without_drift(), time_s, np.zeros(3), period)
             else:
-                ground_m = float(view.anchor_to_world[2, 3]) + rain.streak_region.minimum_m[2]
-                where = drop_phases(motion, time_s, center, period, ground_m if view.ground_m is None else view.ground_m)
+                lower_m = float(view.anchor_to_world[2, 3]) + rain.streak_region.minimum_m[2]
+                where = drop_phases(motion, time_s, center, period, lower_m if view.ground_m is None else view.ground_m)
             return where, now._culling(turn, axes, center, shutter, where.air.fastest_m_s)
 
         return RainFrame(

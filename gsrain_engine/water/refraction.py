@@ -636,8 +636,8 @@ def _composite(image, layer, cell, margin, linear, tones, made):
             red, green, blue, share = between[c], between[c + 1], between[c + 2], top - covered
             more_red, more_green, more_blue = between[d] - red, between[d + 1] - green, between[d + 2] - blue
             more = covered - covered_next
-            red, green, blue = red + half + right * more_red, green + half + right * more_green, blue + half + right * more_blue
-            share += right * more
+            red, green = red + half + right * more_red, green + half + right * more_green
+            blue, share = blue + half + right * more_blue, share + right * more
             more_red, more_green, more_blue, more = step * more_red, step * more_green, step * more_blue, step * more
             # Nothing is negative, but Numba would look: it takes negative indices for those from the end.
             i = np.uint32(3 * start)
