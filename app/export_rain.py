@@ -7,6 +7,7 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from gsrain_engine.backends import open_renderer
+from gsrain_engine.datasets.bags.containers import MCAP, SQLITE
 from gsrain_engine.datasets.capture import Capture
 from gsrain_engine.evaluation.lidar.sensor import SENSORS
 from gsrain_engine.rain.settings import RainSettings
@@ -203,6 +204,8 @@ def _copy_path(recording: Recording, source: Path, output: Path) -> Path:
     """Path of the copy; raises ValueError if something is there already, or if it lies in the recording."""
     if recording.is_file and output.suffix.lower() != source.suffix.lower():
         raise ValueError(f"--output {output}: expected the name of a {source.suffix} file, as {source.name} is one")
+    if not recording.is_file and output.suffix.lower() in (MCAP, SQLITE):
+        raise ValueError(f"--output {output}: expected the name of a new folder, as {source.name} is one")
     if not recording.is_file and output.resolve().is_relative_to(recording.folder.resolve()):
         raise ValueError(f"--output {output}: lies in the recording itself")
     if output.exists() and (recording.is_file or not output.is_dir() or any(output.iterdir())):

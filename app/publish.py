@@ -24,8 +24,10 @@ def publish(
     *,
     output: Annotated[Path, setting(ExportSettings, "output", "Here a web page (.html).")],
     rain: RainOptions | None = None,
-    camera: Annotated[Path | None, option("Camera file (JSON), for a page without a path.")] = None,
-    camera_path: Annotated[Path | None, option("Camera path: ours, nerfstudio's, 3DGS's cameras.json, a .glb.")] = None,
+    camera: Annotated[Path | None, option("Camera (JSON, .glb, .gltf), for a page without a path.")] = None,
+    camera_path: Annotated[
+        Path | None, option("Camera path: ours, nerfstudio's, 3DGS's cameras.json, a .glb or .gltf.")
+    ] = None,
     speed: Annotated[
         float | None, option("Speed on the camera path in m/s; default: its own, or walking pace.")
     ] = None,

@@ -30,6 +30,7 @@ from gsrain_engine.safe_io.errors import convert_checked
 from gsrain_engine.scene.camera import Camera, read_camera
 from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.camera_path_io import read_camera_path
+from gsrain_engine.scene.formats.gltf import GLTF
 from gsrain_engine.scene.geometry import srgb_to_linear
 from gsrain_engine.scene.lamp_choice import FOUND_LAMPS
 from gsrain_engine.scene.objects import scene_objects
@@ -81,9 +82,13 @@ def render(
     rain: RainOptions | None = None,
     camera: Annotated[
         Path | None,
-        option("Camera file (JSON), with its lens and rolling shutter if any, in the scene's own units and axes."),
+        option(
+            "Camera (JSON) in the scene's own units and axes, with its lens and rolling shutter if any; a .glb, .gltf."
+        ),
     ] = None,
-    camera_path: Annotated[Path | None, option("Camera path: ours, nerfstudio's, 3DGS's cameras.json, a .glb.")] = None,
+    camera_path: Annotated[
+        Path | None, option("Camera path: ours, nerfstudio's, 3DGS's cameras.json, a .glb or .gltf.")
+    ] = None,
     rain_keyframes: Annotated[
         Path | None, option("Rain keyframes (YAML or JSON) in place of the scene's: intensity, wind, wetness, lamps.")
     ] = None,
@@ -375,6 +380,9 @@ def viewpoint_of(
     if camera is not None and camera_path is not None:
         raise ValueError("--camera and --camera-path exclude each other")
     width, height = export.size_px or DEFAULT_SIZE_PX
+    if camera is not None and camera.suffix.lower() in GLTF:
+        path = read_camera_path(camera, scene.scene_to_world).moved(scene.scene_to_world)
+        return path.camera(path.start_s, width, height)
     if camera is not None:
         read = read_camera(camera)
         return (read.resized(width, height) if export.size_px else read).moved(scene.scene_to_world)

@@ -10,6 +10,8 @@ import numpy as np
 from cyclopts import Parameter
 from PIL import Image
 
+from gsrain_engine.datasets.bags.containers import recognizes_bag
+from gsrain_engine.datasets.bags.reader import read_bag_recording
 from gsrain_engine.datasets.capture import Capture, CaptureFrame, readable_images
 from gsrain_engine.datasets.capture_folder import write_views
 from gsrain_engine.datasets.open_capture import capture_format, capture_hint, open_capture
@@ -248,17 +250,25 @@ def capture_info(path: Path, check: bool, overlay: Path | None) -> dict[str, Any
     Returns the printed numbers. Raises `CaptureError`.
     """
     found = capture_format(path)
-    capture = open_capture(path)
+    others: tuple[str, ...] = ()
+    if recognizes_bag(path):
+        bag = read_bag_recording(path)
+        capture, others = bag.capture, tuple(topic.name for topic in bag.others)
+    else:
+        capture = open_capture(path)
     checks: tuple[PoseCheck, ...] = ()
     if check:
         capture, checks = _checked(capture)
     summary = summarized(capture)
     kind = found.name if found is not None else ""
     _print_capture(summary, kind, checks, check)
+    if others:
+        print(f"topics that rain does not change: {', '.join(others)}")
     if overlay is not None:
         write_image(overlay, Image.fromarray(contact_sheet(capture)))
         print(f"{overlay}: points and boxes drawn into views")
     numbers = {"capture": summary.name, "format": kind, **asdict(summary)}
+    numbers |= {"other_topics": list(others)} if others else {}
     return numbers | ({"checks": [asdict(each) for each in checks]} if check else {})
 
 

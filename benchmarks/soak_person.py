@@ -114,7 +114,7 @@ class Person:
 
     def _edit(self) -> Iterator[None]:
         editor = self._session
-        for name in ("Hide the selection", "Delete the selection", "Separate the selection"):
+        for name in ("Hide selection", "Delete selection", "Separate selection"):
             chosen = {
                 each.key: BitMask.of(self._random.random(len(each.gaussians)) < 0.02)
                 for each in editor.document.scene.members
@@ -123,7 +123,7 @@ class Person:
             yield from self._frames(2)
             self._do(name)
             yield from self._frames(2)
-        self._do("Invert the selection")
+        self._do("Invert selection")
         yield from self._frames(2)
         steps = int(self._random.integers(3, 6))
         for name in [*["Undo"] * steps, *["Redo"] * (steps - 1), "Show all", "Select none"]:
@@ -131,7 +131,7 @@ class Person:
             yield from self._frames(2)
 
     def _key(self) -> Iterator[None]:
-        self._do("Circle around the target")
+        self._do("Circle around target")
         yield from self._frames(2)
         self._do("Follow path")
         yield from self._frames(3)
@@ -177,7 +177,7 @@ class Person:
 
     def _close(self) -> Iterator[None]:
         editor = self._session
-        self._do("Close the scene")
+        self._do("Close scene")
         yield from self._until(lambda: not editor.document.scene.members)
         editor.jobs.clear()
         yield from self._until(lambda: not editor.is_working and all(each.done() for each in editor.pending_files))

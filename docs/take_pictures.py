@@ -1,6 +1,7 @@
 """Takes the pictures of the guide from the running window: `make pictures`. Needs a display, or Xvfb's `xvfb-run`."""
 
 import math
+import os
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
@@ -34,7 +35,7 @@ _MOMENT_S = 5.4
 """In the middle of the shower and between two cars."""
 _IN_THE_DRIVE_S = 1.6
 """The car that stands is near, and the plan shows that it is seen."""
-_MOST_FRAMES = 500
+_MOST_FRAMES = 1000
 _NOTICED = 8
 """Levels by which a row of a picture has to differ from an empty one."""
 _MARGIN = 16
@@ -63,7 +64,7 @@ class Photographer:
         def act(ctx: imgui.test_engine.TestContext) -> None:
             self.ctx = ctx
             engine = imgui.test_engine.get_io(hello_imgui.get_imgui_test_engine())
-            engine.config_watchdog_kill_test = engine.config_watchdog_warning = 900.0
+            engine.config_watchdog_kill_test = engine.config_watchdog_warning = 3600.0
             while self.window.workspace is None or not self.window.workspace.pictures.is_settled:
                 ctx.yield_()
             self.frames(5)
@@ -77,12 +78,17 @@ class Photographer:
             self.ctx.yield_()
 
     def rest(self) -> None:
-        """Let the frames go by that still change the picture: drops take the color of a sky that is new."""
+        """Let the frames go by that still change the picture: exact ones, and drops in the color of a new sky."""
         assert self.window.workspace is not None
+        pictures, viewport = self.window.workspace.pictures, self.editor.viewport
+        results = [pictures.last]
         for _ in range(_MOST_FRAMES):
-            if not self.editor.viewport.is_catching_up:
+            is_settled = not (viewport.budget.is_settling or viewport.is_catching_up)
+            if len(results) > 2 and is_settled and pictures.is_current:  # the second was begun after all changes
                 break
             self.ctx.yield_()
+            if pictures.last is not results[-1]:
+                results.append(pictures.last)
         self.frames()
 
     def gesture(self, places: Sequence[tuple[float, float]], *, held: bool) -> None:
@@ -126,6 +132,7 @@ class Photographer:
         """Picture panels, each as `panel_ITS_TITLE`, in a window that is high enough for the whole of most."""
         hello_imgui.change_window_size(_FOR_PANELS)
         self.frames()
+        self.ctx.mouse_move("//View/view")  # no tooltip is open
         for panel in BUILT_IN_PANELS:
             if panel.title in titles:
                 window = panel.id or panel.title
@@ -180,7 +187,7 @@ _GESTURES: dict[str, tuple[bool, tuple[tuple[float, float], ...]]] = {
     "Color pick": (False, ((0.92, 0.85),)),
     "Measure": (False, ((0.3, 0.85), (0.7, 0.85))),
     "Level": (False, ((0.3, 0.8), (0.6, 0.9))),
-    "Pick sky color": (True, ((0.4, 0.12), (0.6, 0.25))),
+    "Pick drop color": (True, ((0.4, 0.12), (0.6, 0.25))),
 }
 """By tool: whether the button stays down for the picture, and where the mouse goes, in shares of the picture."""
 
@@ -295,9 +302,11 @@ def picture_drive(camera: Photographer) -> None:
 
 # Sheets of all panels, in both themes and two scales
 
-_SHEET_WIDTH = 1320
+_SHEET_WIDTH = 1344
 _GAP = 12
-_SHEET_COLORS = 256
+_SHEET_KB = 390
+_PARTS = {1.0: {"": ("left", "right", "bottom")}, 2.0: {"_left": ("left", "bottom"), "_right": ("right",)}}
+"""Sheets of a scale by the end of their names, and the sides of their panels."""
 
 
 def picture_themes(folder: Path) -> None:
@@ -319,16 +328,17 @@ def _take_sheets(camera: Photographer, dpi_scale: float) -> None:
     hello_imgui.change_window_size((round(dpi_scale * width), round(dpi_scale * height)))
     for theme in ("dark", "light"):
         editor.preferences.value = msgspec.structs.replace(editor.preferences.value, theme=theme)
-        pictures = list[Image.Image]()
+        pictures = dict[str, list[Image.Image]]()
         for panel in BUILT_IN_PANELS:
             camera.ctx.window_focus(f"//{panel.id or panel.title}")
+            camera.frames()
             while editor.rollouts.mosaic.is_behind:
                 camera.frames(1)
-            pictures.append(camera.picture(panel.id or panel.title, trimmed=True))
-        name = f"panels_{theme}_dpi{dpi_scale:g}.png"
-        few = _sheet(pictures, dpi_scale).quantize(_SHEET_COLORS, dither=Image.Dither.NONE)
-        few.save(IMAGES / name, optimize=True)
-        print(f"docs/images/{name}")
+            taken = camera.picture(panel.id or panel.title, trimmed=True)
+            pictures.setdefault(panel.side.split()[0], []).append(taken)
+        for end, sides in _PARTS[dpi_scale].items():
+            shown = [picture for side in sides for picture in pictures[side]]
+            _save_small(_sheet(shown, dpi_scale), f"panels_{theme}_dpi{dpi_scale:g}{end}")
 
 
 def _sheet(pictures: Sequence[Image.Image], dpi_scale: float) -> Image.Image:
@@ -345,7 +355,8 @@ def _sheet(pictures: Sequence[Image.Image], dpi_scale: float) -> Image.Image:
         if right - beside > 0:
             free.append((beside, top, right))
     height = max(top + picture.height for picture, _, top in places) + gap
-    sheet = Image.new("RGB", (sheet_width, height), (128, 128, 128))
+    width = max(left + picture.width for picture, left, _ in places) + gap
+    sheet = Image.new("RGB", (width, height), (128, 128, 128))
     for picture, left, top in places:
         sheet.paste(picture, (left, top))
     return sheet
@@ -355,6 +366,14 @@ def _save(picture: Image.Image, name: str, quality: int) -> None:
     IMAGES.mkdir(exist_ok=True)
     picture.save(IMAGES / f"{name}.jpg", quality=quality, optimize=True)
     print(f"docs/images/{name}.jpg")
+
+
+def _save_small(picture: Image.Image, name: str) -> None:
+    """Save a picture in the best quality in which its file is small enough."""
+    for quality in range(_QUALITY, 0, -6):
+        _save(picture, name, quality)
+        if (IMAGES / f"{name}.jpg").stat().st_size < 1000 * _SHEET_KB:
+            return
 
 
 def _filled_px(picture: Image.Image) -> int:
@@ -386,6 +405,7 @@ def main() -> None:
     wanted = sys.argv[1:] or [*groups, "themes"]
     use_kernel_cache()
     with tempfile.TemporaryDirectory() as folder:
+        os.environ["XDG_CONFIG_HOME"] = folder  # the default preferences, such as which panels are in front
         if in_one_window := [name for name in wanted if name != "themes"]:
             camera = Photographer(Path(folder))
             camera.run(lambda: [groups[name](camera) for name in in_one_window] and None)

@@ -28,6 +28,7 @@ from gsrain_engine.scene.geometry import matrices_from_quaternions
 from gsrain_engine.scene.scene import Scene
 
 from .browser_panel import RainPanel
+from .rain import checked_rain
 from .viewer import Viewer, ViewerError
 
 HOST = "127.0.0.1"
@@ -91,7 +92,7 @@ class BrowserViewer:
         except ModuleNotFoundError:
             raise ImportError("pages for browsers need viser: pip install 'gsrain[viser]'") from None
         self._changed = threading.Condition()
-        self._scene, self._rain = scene, rain or RainSettings()
+        self._scene, self._rain = scene, checked_rain(rain)
         self._backend: Backend = backend
         self._path = default_path(scene, *DEFAULT_SIZE_PX)
         self._home = camera or home_camera(scene, *DEFAULT_SIZE_PX)
@@ -140,6 +141,7 @@ class BrowserViewer:
     @rain.setter
     def rain(self, rain: RainSettings) -> None:
         self._check_open()
+        rain = checked_rain(rain)
         self._panel.display(rain)
         self._set_rain(rain)
 

@@ -12,6 +12,8 @@ from gsrain_engine.simulation.scenario import Scenario as Scenario
 from gsrain_engine.simulation.scenario_io import load_scenario as load_scenario
 from gsrain_engine.simulation.simulation import drive_scene
 
+from .rain import checked_rain
+
 
 def drive(
     scene: Scene,
@@ -37,4 +39,4 @@ def drive(
     Raises:
         ValueError: For an unknown agent or scenario, and where the scene lacks what the scenario needs.
     """
-    return drive_scene(scene, rain, agent, scenario, backend=backend)
+    return drive_scene(scene, None if rain is None else checked_rain(rain), agent, scenario, backend=backend)

@@ -107,6 +107,15 @@ class Rain(ABC):  # noqa: B024  abstract, so that `RainSettings` counts as a sub
 Rain.register(RainSettings)
 
 
+def checked_rain(rain: object) -> RainSettings:
+    """Return a rain, or none for None; raises `ValueError` for anything else, such as a bare number."""
+    if rain is None:
+        return RainSettings()
+    if not isinstance(rain, RainSettings):
+        raise ValueError(f"rain {rain!r:.80}: expected rain settings, such as gr.Rain(8.5)")
+    return rain
+
+
 @dataclass(frozen=True)
 class RainMeasurement:
     """Result of the virtual disdrometer."""
@@ -158,7 +167,7 @@ def measure_rain(rain: RainSettings, seconds: float = 60.0, *, area: float = 0.5
     if not 0 < seconds < np.inf:
         raise ValueError(f"seconds {seconds:g}: must be above 0")
     return RainMeasurement(
-        VirtualDisdrometer(RainSimulation.start(rain), area).measure(np.array([0.0, float(seconds)]))
+        VirtualDisdrometer(RainSimulation.start(checked_rain(rain)), area).measure(np.array([0.0, float(seconds)]))
     )
 
 

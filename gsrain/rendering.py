@@ -29,7 +29,7 @@ from gsrain_engine.scene.geometry import srgb_to_linear
 from gsrain_engine.scene.progress import Progress
 from gsrain_engine.scene.scene import Scene
 
-from .rain import checked_settings
+from .rain import checked_rain, checked_settings
 
 
 class Image:
@@ -152,7 +152,7 @@ class Renderer:
         viewpoint = _still_camera(scene, camera, size, time)
         with self._lock:
             self._check_open()
-            return Image(render_image(self._renderer, scene, rain or RainSettings(), viewpoint, time, with_depth=depth))
+            return Image(render_image(self._renderer, scene, checked_rain(rain), viewpoint, time, with_depth=depth))
 
     def frames(
         self,
@@ -168,7 +168,7 @@ class Renderer:
         with self._lock:
             self._check_open()
             viewpoint = path or default_path(scene, *DEFAULT_SIZE_PX)
-            made = film_frames(self._renderer, export, scene, rain or RainSettings(), viewpoint, with_depth=depth)
+            made = film_frames(self._renderer, export, scene, checked_rain(rain), viewpoint, with_depth=depth)
         return self._frames(made)
 
     def render_video(
@@ -186,7 +186,7 @@ class Renderer:
         with self._lock:
             self._check_open()
             viewpoint = path or default_path(scene, *DEFAULT_SIZE_PX)
-            for step in film(self._renderer, export, scene, rain or RainSettings(), viewpoint):
+            for step in film(self._renderer, export, scene, checked_rain(rain), viewpoint):
                 if progress is not None:
                     progress(step)
         return export.path
@@ -377,6 +377,8 @@ def _still_camera(
             return camera.resized(width, height) if size is not None else camera
         case CameraPath():
             return camera.camera(time, width, height)
+        case _:  # what only types forbid
+            raise ValueError(f"camera {camera!r:.80}: expected a gr.Camera or a gr.CameraPath")
 
 
 def _export(output: str, viewpoint: Camera | CameraPath | None, clip: Clip | VideoClip) -> ExportSettings:

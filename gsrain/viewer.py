@@ -21,6 +21,7 @@ from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.formats.scene_folder import FileCache
 from gsrain_engine.scene.scene import Scene
 
+from .rain import checked_rain
 from .viewer_messages import Close, GetState, Reply, Request, Screenshot, SetCamera, SetRain, SetScene, receive, send
 
 logger = logging.getLogger("gsrain")
@@ -124,7 +125,7 @@ class Viewer:
 
     @rain.setter
     def rain(self, rain: RainSettings) -> None:
-        self._request(SetRain(number=self._next_number(), rain=rain))
+        self._request(SetRain(number=self._next_number(), rain=checked_rain(rain)))
 
     @property
     def camera(self) -> Camera:

@@ -7,8 +7,9 @@ A setting is one field of a `msgspec.Struct`, and `Meta` has its title, descript
 * `group`: heading of the form under which it is drawn; `scale` "log" or `slider_to`: course and end of its slider
 * `commands`: commands, separated by commas, of which it is an option; `option`: names of the option separated by
   spaces, if it is not named like the field without its unit
-* `spelling`: words of the option for the values of a choice; `on`: value that an option without a value sets;
-  `path`: the text is a path; `negative`: value that the option sets with --no- before its name
+* `spelling`: words of the option for the values of a choice; `titles`: words of the form for them
+* `on`: value that an option without a value sets; `path`: the text is a path; `negative`: value that the option sets
+  with --no- before its name
 """
 
 import re
@@ -67,6 +68,10 @@ class Field:
     def choices(self) -> tuple[str, ...]:
         """Values of a choice between words."""
         return tuple(each for each in get_args(self.kind) if isinstance(each, str))
+
+    def choice_title(self, value: str) -> str:
+        """Return the words of a form for a value of a choice."""
+        return self.extra.get("titles", {}).get(value, value)
 
     @property
     def none(self) -> str | None:

@@ -124,7 +124,7 @@ def test_fields_name_existing_commands():
         ("seed", "", "0", ("--seed",)),
         ("wind_m_s", "-40..40 m/s", "", ("--wind",)),
         ("wind_speed_m_s", "0..60 m/s", "2", ("--wind-speed",)),
-        ("wind_from_deg", "0..360 degrees", "240", ("--wind-from",)),
+        ("wind_from_deg", "0..360 deg", "240", ("--wind-from",)),
         ("turbulence_m_s", "0..5 m/s", "0.6", ("--turbulence",)),
         ("closure", "", "density", ("--drop-density",)),
         ("haze_count", "0..200000", "", ("--haze-count",)),

@@ -124,7 +124,7 @@ def first(folder, plant):
             person.ctx.item_input_value(f"//Record/{field}", value)
             person.frames()
         person.click("//Record/Record...")
-        person.type_into("Record the timeline", str(folder / "window.mp4"))
+        person.type_into("Record timeline", str(folder / "window.mp4"))
         person.until(lambda: bool(editor.jobs.all), 1000)
         person.until(person.is_idle, 1_000_000)
         person.say("recorded", editor.jobs.all[-1].state, editor.jobs.all[-1].error)

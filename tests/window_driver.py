@@ -91,9 +91,11 @@ class Driver:
                     return True
                 if self.pictures.last is not results[-1]:
                     results.append(self.pictures.last)
-                is_dragged = self.editor.viewport.drawn_preview is not None  # a new value in each frame
+                viewport = self.editor.viewport
+                is_dragged = viewport.drawn_preview is not None  # a new value in each frame
+                is_shown = self.pictures.is_current and not viewport.budget.is_settling
                 # The second was begun after those frames.
-                return len(results) > 2 and (is_dragged or self.pictures.is_current)
+                return len(results) > 2 and (is_dragged or is_shown)
 
             self.until(is_current)
 

@@ -50,7 +50,7 @@ def about_page(viewport: ViewportState) -> None:
                 "Calibrated rain in captured 3D Gaussian Splatting scenes: a viewer, an editor, a test bench."
             )
             imgui.text(f"Drawn by: {viewport.backend or 'nothing yet'}")
-            imgui.text_wrapped("docs/physics.md gives each equation with its source.")
+            imgui.text_wrapped("The page Physics of the documentation gives each equation with its source.")
 
 
 def news_page(viewport: ViewportState) -> None:

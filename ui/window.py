@@ -150,6 +150,7 @@ class MainWindow:
         self._ended_by: int | None = None
         self._style: Preferences | None = None
         self._content_scale = 1.0
+        self._presses: object = None
         self.failure: Exception | None = None
         """Error that prevented the program from loading or continuing, and closes the window."""
 
@@ -185,6 +186,7 @@ class MainWindow:
         callbacks.pre_new_frame = self._guarded(self._update)
         callbacks.show_menus = self._guarded(lambda: self.workspace.draw_menus() if self.workspace else None)
         callbacks.show_status = self._guarded(lambda: self.workspace.draw_status() if self.workspace else None)
+        callbacks.after_swap = self._guarded(lambda: self.workspace.rest() if self.workspace else None)
         callbacks.before_exit = self._end
         # ImGui antialiases its own edges: multisampling would only slow down software rendering.
         parameters.renderer_backend_options.open_gl_options = hello_imgui.OpenGlOptions(anti_aliasing_samples=0)
@@ -249,6 +251,7 @@ class MainWindow:
         self._pictures = SharedContext(window)
         glfw.set_drop_callback(window, lambda _, paths: self.drop(paths))
         glfw.set_window_close_callback(window, lambda _: self.ask_to_close())
+        self._presses = delay_presses(window)
         self._loader.start()
 
     def _load(self) -> None:
@@ -353,6 +356,30 @@ def leave_out_background(window: hello_imgui.DockableWindow) -> None:
         draw()
 
     window.gui_function = draw_window
+
+
+# Mouse
+
+
+def delay_presses(window: Any) -> object:
+    """Let a press of a mouse button that comes with a move wait for the frame after the move.
+
+    A click on a tab or the viewport, which others may overlap, counts only if the mouse was over it one frame before.
+    ImGui delays presses of touch screens, which are always new to their place: each press counts as one of these.
+    Returns the callback, which has to live as long as the window.
+    """
+    of_imgui: Any = None
+
+    def press(window: Any, button: int, action: int, modifiers: int) -> None:
+        io = imgui.get_io()
+        if action == glfw.PRESS:
+            io.add_mouse_source_event(imgui.MouseSource.touch_screen)
+        of_imgui(window, button, action, modifiers)
+        io.add_mouse_source_event(imgui.MouseSource.mouse)
+
+    callback = glfw._GLFWmousebuttonfun(press)  # the public function doesn't return ImGui's own callback
+    of_imgui = glfw._glfw.glfwSetMouseButtonCallback(window, callback)
+    return callback
 
 
 # OpenGL context of the pictures

@@ -30,7 +30,6 @@ _SPACES = {
 _FOR_THREADS_S = 0.001  # sleep per frame while threads work: without it they rarely get the interpreter
 _IDLE_FPS = 0.3  # A frame costs 80 ms in software rendering; events wake up the window immediately
 _WATCHING_FPS = 10.0  # frame rate for progress bars while workers run without user input
-_PLAYING_FPS = 20.0  # frame rate of a software rasterizer while time plays without user input: more than of the picture
 _SOFTWARE_FPS = 33.0  # maximum frame rate of a software rasterizer: picture and jobs need the cores, too
 
 
@@ -56,6 +55,9 @@ class Workspace:
         self._pace = FrameClock()
         self._capture = editor.captures.capture
         self._last_problem = ""
+        self._began_s = 0.0
+        self._plays = False
+        self._view_size = 16, 16
         self._drawn, self._front = set[str](), ("",)
         self._first_front, self._settled_front = set[str](), tuple[str, ...]()
 
@@ -106,6 +108,7 @@ class Workspace:
     def update(self) -> None:
         """Advance time. Call it once per frame, before drawing."""
         editor, viewport, wet_look = self.editor, self.editor.viewport, self.editor.wet_look
+        self._began_s = time.perf_counter()
         front = self._settled_front or self._first_front
         self.folded.update({each.window_name for each in all_panels() if each.title in front})
         self._take_picture()
@@ -121,14 +124,27 @@ class Workspace:
         self._captures.update(editor.captures, editor.matching)
         idling = hello_imgui.get_runner_params().fps_idling
         # Poll workers at intervals: frames would take CPU time from them.
-        plays = editor.playback.clock.playing and editor.has_time
-        idling.fps_idle = _PLAYING_FPS if plays else _WATCHING_FPS if editor.jobs.running else _IDLE_FPS
+        self._plays = editor.playback.clock.playing and editor.has_time
+        idling.fps_idle = _WATCHING_FPS if editor.jobs.running else _IDLE_FPS
         resting = not (editor.is_bringing_in or viewport.budget.is_settling)
         resting = resting and not (editor.rollouts.mosaic.is_behind or is_file_dialog_open())
-        idling.enable_idling = self._is_software if plays else resting and self.pictures.is_current
-        idling.fps_max = self.max_fps
+        idling.enable_idling = resting and self.pictures.is_current and not self._plays
+        idling.fps_max = 0.0 if self._plays else self.max_fps
         if editor.should_quit:
             hello_imgui.get_runner_params().app_shall_exit = True
+
+    def rest(self) -> None:
+        """Wait after a frame until the next is due while time plays, and begin a picture as soon as the last is done.
+
+        At other times hello_imgui waits, which would let the thread of the pictures wait for the next frame, too.
+        """
+        if not (self._plays and self.max_fps):
+            return
+        due_s = self._began_s + 1 / self.max_fps
+        if self.pictures.wait(max(due_s - time.perf_counter(), 0.0)):
+            self._take_picture()
+            self._begin_picture()
+        time.sleep(max(due_s - time.perf_counter(), 0.0))
 
     def draw_menus(self) -> None:
         draw_menus(self.editor)
@@ -150,8 +166,9 @@ class Workspace:
         self._captures.draw_points(
             editor.captures, editor.document.scene, editor.viewport.canvas_view(width, height).camera
         )
+        self._view_size = width, height
         if not self.pictures.is_drawing:
-            self.pictures.begin(editor.render_input(width, height), editor.mosaic_input())
+            self._begin_picture()
         else:
             viewport = editor.viewport
             self.pictures.reconsider(viewport.shot(width, height), editor.split_panes, viewport.options.look)
@@ -164,6 +181,9 @@ class Workspace:
     def close(self) -> None:
         """Wait for the picture that is being drawn, and stop its thread. Further calls do nothing."""
         self.pictures.close()
+
+    def _begin_picture(self) -> None:
+        self.pictures.begin(self.editor.render_input(*self._view_size), self.editor.mosaic_input())
 
     def _take_picture(self) -> None:
         try:

@@ -33,12 +33,16 @@ def rain_gauge(
         str, setting(RainSettings, "calibration", "Its law of the fall speed is used.")
     ] = "published",
     count: Annotated[int, option("Number of frames, from the first one.")] = 32,
+    horizon_px: Annotated[
+        int | None,
+        option("Row of the horizon: rain is measured above it, since drops splash below. Default: the middle."),
+    ] = None,
     json: JsonFile = None,
 ) -> None:
     """Read the rain rate from streaks alone, as a camera rain gauge does: their number, widths and lengths.
 
-    Nothing else is known to it: neither the scene nor the rain that was set. Frames need dark and bright backgrounds,
-    such as trees and sky, which tell the light of drops.
+    Nothing else is known to it: neither the scene nor the rain that was set. Frames need dark and bright backgrounds
+    above the horizon, such as trees and sky, which tell the light of drops.
     """
     check_within("--focal-px", focal_px, 10, 1e5, "px")
     check_within("--shutter", shutter, 1e-4, 0.1, "s")
@@ -46,7 +50,9 @@ def rain_gauge(
     check_writable(json)
     fall_speed = load_calibration(calibration).velocity
     pictures = _stacked(frames, islice(_pictures(frames), count))
-    found = measure_rain_rate(pictures, focal_px, shutter, fall_speed)
+    if horizon_px is not None:
+        check_within("--horizon-px", horizon_px, 64, pictures.shape[1], "px")
+    found = measure_rain_rate(pictures, focal_px, shutter, fall_speed, horizon_px)
     print(
         f"{found.intensity_mm_h:.2f} mm/h ({rain_class(found.intensity_mm_h)}), counting error {found.error_mm_h:.2f}: "
         f"{found.streaks} streaks wider than {found.cutoff_px:.1f} px in {found.frames} frames, "

@@ -4,6 +4,7 @@ from itertools import islice
 from pathlib import Path
 
 from ..scene.formats.scene_files import scene_files_in
+from .bags.containers import MCAP, METADATA, SQLITE
 from .capture import abbreviated_names
 from .io.images import CONVERT, images_in, unread_images_in
 
@@ -94,6 +95,8 @@ def nearest_layout(path: Path) -> str | None:
     a_scene = f"a folder of scenes (give one of the files in it: {', '.join(scenes)})" if scenes else None
     if scenes and not scenes[0].endswith(".ply"):  # a .ply may be the point cloud of a capture
         return a_scene
+    if any(_is_there(path, f"*{suffix}") for suffix in (MCAP, SQLITE)):
+        return f"a ROS 2 bag without {METADATA} (give the {MCAP} or {SQLITE} in it, or ros2 bag reindex)"
     best: tuple[float, str, list[str]] | None = None
     for kind, parts in _KINDS.items():
         there = {name for name, patterns in parts.items() if any(_is_there(path, each) for each in patterns.split())}

@@ -64,7 +64,7 @@ class CameraPathEditor:
         time_s = self._playback.nearest_frame_time(self._playback.clock.time_s if time_s is None else time_s)
         path = self._document.scene.path
         is_new = path is None or edits.keyframe_at(path, time_s) is None
-        label = "Insert keyframe" if is_new else "Update keyframe"
+        label = "Insert camera keyframe" if is_new else "Update camera keyframe"
         self._edit_keyframe(label, edits.with_keyframe, time_s, self._camera_in_scene)
 
     def append_keyframe(self) -> None:
@@ -82,10 +82,10 @@ class CameraPathEditor:
         """Set a keyframe to the current view."""
         if (path := self._document.scene.path) is not None:
             time_s, camera = float(path.times_s[key]), self._camera_in_scene
-            self._edit_keyframe("Update keyframe", edits.with_keyframe, time_s, camera)
+            self._edit_keyframe("Update camera keyframe", edits.with_keyframe, time_s, camera)
 
     def delete_keyframe(self, key: int) -> None:
-        self._edit_path("Delete keyframe", edits.without_keyframe, key)
+        self._edit_path("Delete camera keyframe", edits.without_keyframe, key)
 
     def retime_keyframe(self, key: int, time_s: float) -> None:
         time_s = self._playback.nearest_frame_time(time_s)
@@ -126,7 +126,7 @@ class CameraPathEditor:
             self._status.report("This scene has no ego vehicle with a camera, so there is no drive to snap to.")
         else:
             drive = drive.moved(self._world_to_scene)
-            self._document.edit("Snap keyframe to the drive", with_path, edits.snap_key_to, key, drive)
+            self._document.edit("Snap keyframe to recorded drive", with_path, edits.snap_key_to, key, drive)
 
     def easing_of(self, key: int) -> KeyEasing | None:
         """Easing after a keyframe of the user's path; None follows the path's."""
@@ -199,7 +199,7 @@ class CameraPathEditor:
         """Replace the path by a full circle around the orbit target that starts at the current view."""
         self._viewport.stop_riding()
         circle = circle_path(self._viewport.navigation.target, self._viewport.shot(*_VIEW_SIZE).camera, duration_s)
-        self._set_path("Circle around the target", circle.moved(self._world_to_scene))
+        self._set_path("Circle around target", circle.moved(self._world_to_scene))
 
     def reverse_path(self) -> None:
         self._edit_path("Reverse camera path", edits.reverse_path_time)
@@ -269,7 +269,7 @@ class CameraPathEditor:
             )
             return
         few = edits.simplify(drive, _TOLERANCE_M) if every_s <= 0 else edits.resample(drive, every_s)
-        self._set_path("Camera path from the drive", few.moved(self._world_to_scene))
+        self._set_path("Camera path from recorded drive", few.moved(self._world_to_scene))
         logger.info("Path from the drive: %d keyframes of %d samples", len(few.times_s), len(drive.times_s))
 
     # Timeline positions

@@ -92,7 +92,7 @@ class History:
 
     def __init__(self, document: DocumentState) -> None:
         """Start with an opened document."""
-        self.steps = [Step("Open", document)]
+        self.steps = [Step("Opened", document)]
         """Oldest first."""
         self.cursor = 0
 

@@ -209,18 +209,25 @@ class Editor:
         return any(pane.scene.actors or (falls and pane.rainfall.can_rain) for pane in self.split_panes)
 
     @property
-    def _still_content(self) -> Hashable:
-        """Identity of what stands still while rain falls; None if pictures can't be drawn over a backdrop of it.
+    def _content(self) -> Hashable:
+        """Identity of what the picture shows, but for camera and time."""
+        options = self.viewport.options
+        panes = tuple((IdentityKey(each.scene), each.rainfall.rain, each.rainfall.weather) for each in self.split_panes)
+        return panes, options.look, options.show_selection
+
+    @property
+    def _can_stand_still(self) -> bool:
+        """True if pictures can be drawn over a backdrop of what stands still while rain falls.
 
         Only the processor draws over one, and only rain without lamps that is the same at any time.
         """
-        panes, options, time_s = self.split_panes, self.viewport.options, self.playback.clock.time_s
+        options, time_s = self.viewport.options, self.playback.clock.time_s
         can = self.viewport.backend == "cpu" and options.look == "splats" and not options.follow_path
-        for pane in panes:
+        for pane in self.split_panes:
             rainfall = pane.rainfall
             can = can and rainfall.rain.rain_light == "linear" and not rainfall.weather.keys
             can = can and not rainfall.lamps_of(pane.scene, time_s)
-        return tuple((IdentityKey(each.scene), IdentityKey(each.rainfall)) for each in panes) if can else None
+        return can
 
     @property
     def has_time(self) -> bool:
@@ -232,8 +239,9 @@ class Editor:
         """The next frame for a viewport of a size in pixels."""
         viewport, live_rain, options = self.viewport, self.live_rain, self.viewport.options
         is_animated = self.playback.clock.playing and self.is_animated
-        content = self._still_content if is_animated else None
-        view, quality = viewport.scaled_shot(width, height, is_animated=is_animated, content=content)
+        view, quality = viewport.scaled_shot(
+            width, height, self._content, is_animated=is_animated, stands=is_animated and self._can_stand_still
+        )
         pick, rain = viewport.sky_pick, live_rain.simulation
         return RenderInput(
             panes=self.split_panes,

@@ -54,7 +54,7 @@ class NotASceneError(SceneFormatError):
 
     def __init__(self, path: Path, kind: str) -> None:
         """`kind` is the name of the capture's format."""
-        super().__init__(path, f"this is a capture ({kind}), not a scene; File > Open a capture shows it")
+        super().__init__(path, f"this is a capture ({kind}), not a scene; File > Open capture folder... shows it")
         self.path, self.kind = path, kind
 
 
@@ -175,7 +175,7 @@ class Files:
             "and makes a scene of. Open it there?"
         )
         show = Answer("Open the capture", lambda: self._captures.open(error.path), f"Read {error.path}.")
-        self._ask("Open a capture", text, show)
+        self._ask("Open capture", text, show)
 
     def import_from(self, path: str) -> None:
         """Read a scene in the background and add its layers and actors to the present one."""
@@ -319,7 +319,7 @@ class Files:
             "Export writes a file of what can be seen."
         )
         into = Answer(f"Save as {folder.name}", lambda: self.save_as(folder, act), f"Write the scene folder {folder}.")
-        file = Answer("Export...", lambda: self.export_to(path), f"Write {path}; changes stay unsaved.")
+        file = Answer("Export visible...", lambda: self.export_to(path), f"Write {path}; changes stay unsaved.")
         self._ask("Save writes a scene folder", text, into, file)
 
     def _begin_saving(self, path: Path, act: Callable[[], None]) -> None:

@@ -20,14 +20,18 @@ class FinetuneChoice(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         "tiny"
     )
     clear: Annotated[
-        Path | None, Meta(title="Clear pictures", description="Folder or capture; none: those that the settings name.")
+        Path | None,
+        Meta(title="Clear pictures", description="Folder or capture; without one, as in the settings."),
     ] = None
     rainy: Annotated[
         Path | None,
-        Meta(title="Rainy pictures", description="Folder or capture, of other places; none: those of the settings."),
+        Meta(
+            title="Rainy pictures",
+            description="Folder or capture, of other places; without one, as in the settings.",
+        ),
     ] = None
     output: Annotated[
-        Path | None, Meta(title="Goes into", description="Folder for weights, checkpoint, losses and sample pictures.")
+        Path | None, Meta(title="Output", description="Folder for weights, checkpoint, losses and sample pictures.")
     ] = None
     steps: Annotated[
         int, Meta(ge=0, le=10_000_000, title="Steps", description="Iterations; 0: as many as the settings say.")
@@ -54,7 +58,7 @@ class FinetuneController:
         if not has_torch():
             return f"Training needs torch, which is not installed: {HOW_TO_GET_DIFFUSION}"
         if self.choice.output is None:
-            return "Choose a folder that the weights go into first."
+            return "Choose the output folder for the weights first."
         for path in (self.choice.clear, self.choice.rainy):
             if path is not None and not path.exists():
                 return f"{path}: is not there; choose other pictures."

@@ -32,9 +32,6 @@ from .status import StatusBus
 from .viewport.options import Texture
 from .viewport_state import ViewportState
 
-COMPARED_MM_H = 8.5
-"""Rain of a comparison if no rain is set, because scenes are dry without."""
-
 
 class WetLookController:
     """The user's choices and the results so far. Main thread only."""
@@ -198,11 +195,20 @@ class WetLookController:
         """Start the job as soon as a scene is open."""
         self._starts_soon = True
 
+    @property
+    def why_no_comparison(self) -> str | None:
+        """Reason why the clear and the rainy scene can't be compared, in one sentence, or None."""
+        if not self._document.scene.has_wet_colors:
+            return "The scene has no wet colors yet."
+        state = self._live_rain.displayed.state_at(self._viewport.playback.clock.time_s)
+        if state.is_clear and self._live_rain.wetness_now == 0:
+            return "There is no rain at this time: set the rain intensity above 0 first."
+        return None
+
     def compare(self) -> None:
-        """Show the clear scene next to the rainy one; if there is no rain, add some as an undo step."""
-        self._viewport.options.split = "clear | rainy"
-        if self._live_rain.wetness_now == 0:
-            self._document.change_rain("Rain to compare", intensity_mm_h=COMPARED_MM_H, wetness=None)
+        """Show the clear scene next to the rainy one."""
+        if self.why_no_comparison is None:
+            self._viewport.options.split = "clear | rainy"
 
 
 # View sources

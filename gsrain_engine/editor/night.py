@@ -1,15 +1,18 @@
 """The night look of the open scene, as a job whose end is one undo step."""
 
 from collections.abc import Iterator
+from dataclasses import replace
+from typing import TypeVar
 
 from ..scene.progress import Progress
-from ..scene.scene import Scene
+from ..scene.scene import Actor, Layer, Scene
 from .background_edits import relight_by_night
 from .document import Document, Recipe
 from .edits.members import replace_scene
 from .jobs.job import Job, JobRunner, no_result
 
-NIGHT_TITLE = "Relight as by night"
+NIGHT_TITLE = "Relight for night"
+Member = TypeVar("Member", Layer, Actor)
 
 
 class NightLook:
@@ -24,7 +27,7 @@ class NightLook:
         return self._document.scene.gaussian_count > 0 and not self._jobs.is_running("night")
 
     def relight(self) -> Job[None]:
-        """Start to relight the scene in a thread; the result is dropped if the scene changes meanwhile."""
+        """Start to relight the scene in a thread; the result is dropped if its geometry or lamps change meanwhile."""
         scene, made = self._document.scene, list[Scene]()
 
         def work() -> Iterator[Progress]:
@@ -33,11 +36,32 @@ class NightLook:
             made.append((yield from night_scene(scene)))
 
         def take(_: None, __: bool) -> str:
-            if self._document.scene is not scene:
+            relit = _with_light_of(made[0], scene, self._document.scene)
+            if relit is None:
                 return "The scene has changed meanwhile: relight it again"
-            self._document.edit(NIGHT_TITLE, replace_scene, made[0], recipe=Recipe(relight_by_night, {}))
-            count = len(made[0].lamps)
+            self._document.edit(NIGHT_TITLE, replace_scene, relit, recipe=Recipe(relight_by_night, {}))
+            count = len(relit.lamps)
             return f"Lit by {count} lamp{'s'[: count != 1]}"
 
         progress = Progress(0.0, "Looking at the scene")
         return self._jobs.start(Job("night", NIGHT_TITLE, work, no_result, in_thread=True, progress=progress), take)
+
+
+def _with_light_of(night: Scene, before: Scene, now: Scene) -> Scene | None:
+    """Return the scene as it is now with the light of `night`, which was made of it as it was before.
+
+    Selection, camera path and the like may have changed meanwhile; None if what is lit, or its lamps, has.
+    """
+    if now is before:
+        return night
+    is_same = now.geometry_key == before.geometry_key and now.lamps == before.lamps
+    if not is_same or [each.key for each in now.members] != [each.key for each in before.members]:
+        return None
+
+    def lit(member: Member) -> Member:
+        made = night.member(member.key)
+        return replace(member, gaussians=made.gaussians, wet_sh=made.wet_sh)
+
+    layers, actors = map(lit, now.layers), map(lit, now.actors)
+    added = night.layers[len(before.layers) :]
+    return replace(now, layers=(*layers, *added), actors=tuple(actors), lamps=night.lamps, water=night.water)

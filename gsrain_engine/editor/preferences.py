@@ -97,7 +97,7 @@ class Preferences(msgspec.Struct, frozen=True, kw_only=True):
     desktop_dialogs: Annotated[
         bool,
         Meta(
-            title="Desktop's file dialogs",
+            title="System file dialogs",
             description="Choose files in the desktop's own dialogs (zenity or kdialog) where it has them.",
         ),
     ] = True

@@ -136,32 +136,32 @@ class ViewportState:
         return view if view is not None and is_fitting else self.shot(width, height)
 
     def scaled_shot(
-        self, width: int, height: int, *, is_animated: bool, content: Hashable = None
+        self, width: int, height: int, content: Hashable = None, *, is_animated: bool, stands: bool = False
     ) -> tuple[RenderView, QualityLevel]:
-        """View of the next frame, in the resolution of its quality: reduced if needed while something moves.
+        """View of the next frame, in the resolution of its quality: reduced if needed while something changes.
 
-        `is_animated` is true if the picture changes although the camera rests. `content` is what stands still then;
-        None if the picture can't be drawn over a backdrop.
+        `content` is what the picture shows, but for camera and time. `is_animated` is true if it changes although the
+        camera rests; `stands`, if it can be drawn over a backdrop then.
         """
-        detail = self._observe(self.shot(width, height), is_animated, content)
+        detail = self._observe(self.shot(width, height), content, is_animated=is_animated, stands=stands)
         if self.screenshot is not None:
             detail = FULL_QUALITY
         scale = detail.scale / self.options.shrink
         drawn_height = max(1, round(height * scale))
         return self.shot(max(1, round(width * scale)), drawn_height, height / drawn_height), detail
 
-    def _observe(self, now: RenderView, is_animated: bool, content: Hashable) -> QualityLevel:
+    def _observe(self, now: RenderView, content: Hashable, *, is_animated: bool, stands: bool) -> QualityLevel:
         before, at = self._last_view, time.perf_counter()
         self.is_moving = before is not None and (
             now.camera.world_to_camera.tobytes() != before.camera.world_to_camera.tobytes()
             or now.camera.fx != before.camera.fx
         )
         resized = before is not None and now.camera.height != before.camera.height
+        is_same, self._last_content = content == self._last_content, content
         self._last_view, real_s, self._observed_at = now, at - self._observed_at, at
-        stands = content is not None and content == self._last_content and not (self.is_moving or resized)
-        self._last_content = content
+        stands = stands and is_same and not (self.is_moving or resized)
         moving = is_animated or (self.is_moving and not resized)
-        return self.budget.observe(moving=moving, real_s=real_s, stands=stands)
+        return self.budget.observe(moving=moving, real_s=real_s, stands=stands, edited=not is_same)
 
     def look_from(self, camera: Camera) -> None:
         """Take the pose of a camera (without roll) and its field of view; follow nothing any more."""

@@ -6,7 +6,8 @@ law V(D) of falling drops. Streaks wider than a cutoff w_0 are those in the volu
 number per image area is n = f E[N D^3] / (3 w_0^3): the water in the air, whatever the drop sizes. With the speed of
 these drops it is the rain rate. The gauge knows nothing of the scene, the drop sizes or the lens: widths come from the
 light of a streak, which blur preserves, and a drop's own light from backgrounds of different brightness. Streaks that
-hide each other are corrected for by artificial ones.
+hide each other are corrected for by artificial ones. Only what is above the horizon is measured: below it, drops that
+splash on the ground would count as streaks.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -103,15 +104,19 @@ class LightResiduals:
 
 
 def measure_rain_rate(
-    frames: UInt8[np.ndarray, "t h w *c"], focal_px: float, exposure_s: float, fall_speed: FallSpeed
+    frames: UInt8[np.ndarray, "t h w *c"],
+    focal_px: float,
+    exposure_s: float,
+    fall_speed: FallSpeed,
+    horizon_px: int | None = None,
 ) -> GaugeReading:
     """Read the rain rate from frames of a static, level camera; gray, or RGB in the last axis.
 
-    `focal_px` is the focal length, `exposure_s` the shutter time. Frames must be far enough apart for other drops to be
-    near: 0.1 s. Raises ValueError for fewer than 5 frames, for backgrounds of about one brightness, and for fewer than
-    20 streaks.
+    `focal_px` is the focal length, `exposure_s` the shutter time, `horizon_px` the row of the horizon: that in the
+    middle by default. Frames must be far enough apart for other drops to be near: 0.1 s. Raises ValueError for fewer
+    than 5 frames, for backgrounds of about one brightness, and for fewer than 20 streaks.
     """
-    found = light_residuals(frames)
+    found = light_residuals(frames[:, : frames.shape[1] // 2 if horizon_px is None else horizon_px])
     in_frames = [GaugedStreaks.of(values, found) for values in found.values]
     if (number := sum(map(len, in_frames))) < _MIN_STREAKS:
         raise ValueError(f"{number} streaks: too few for a rain rate; take more frames or a longer exposure")
@@ -119,9 +124,17 @@ def measure_rain_rate(
     areas = _OpenAreas(found.still & (found.background < _MAX_BACKGROUND * light.value))
     streaks = GaugedStreaks.joined(in_frames)
     streaks = streaks[areas.are_open(streaks.center_px, streaks.half_box_px)]
-    cutoff = _cutoff_px(streaks.width_px(light.value))
-    counted = streaks[streaks.width_px(light.value) > cutoff]
-    recovery = _recovery(found, in_frames, counted, areas, cutoff, light.value)
+    width_px = streaks.width_px(light.value)
+    cutoff = _cutoff_px(width_px)
+    counted = streaks[width_px > cutoff]
+    while (recovery := _recovery(found, in_frames, counted, areas, cutoff, light.value)).share < _MIN_RECOVERED:
+        cutoff *= _WIDER
+        counted = streaks[width_px > cutoff]
+        if len(counted) < _MIN_STREAKS:
+            raise ValueError(
+                f"only {recovery.share:.0%} of artificial streaks are found in these frames: "
+                "streaks are too faint or too dense"
+            )
     area = np.array([areas.area_px2(*box) for box in counted.half_box_px.tolist()])
     per_px2 = float(np.mean(1 / area)) * len(counted) / len(frames) / recovery.share
     water = np.pi / 6 * 3 * cutoff**3 / focal_px * per_px2
@@ -480,7 +493,9 @@ _PER_FRAME, _SMALLEST, _LARGEST = 200, 0.5, 4.0
 
 _STEEPNESS = 1.5  # artificial streaks above a width are its power of -1.5, and weighted by another to the law's -3
 
-_MIN_RECOVERED = 0.5
+_MIN_RECOVERED, _WIDER = 0.5, 1.15
+"""Least share of artificial streaks that is found above a cutoff, and factor by which it is raised until they are."""
+
 _SAME_PLACE = 0.5  # of half a box: centers nearer than that are those of one streak
 
 
@@ -524,12 +539,9 @@ def _recovery(
     weight, is_larger, is_counted = np.array(weights), np.array(larger), np.array(counted)
     expected, counts = weight * is_larger, weight * is_counted
     share = float(counts.sum() / max(expected.sum(), 1e-9))
-    if share < _MIN_RECOVERED:
-        raise ValueError(
-            f"only {share:.0%} of artificial streaks are found in these frames: streaks are too faint or too dense"
-        )
     spread = counts - share * expected
-    return _Recovery(share, float(np.sqrt((spread**2).sum()) / counts.sum()), float(np.median(slowness)))
+    share_error = float(np.sqrt((spread**2).sum()) / max(counts.sum(), 1e-9))
+    return _Recovery(share, share_error, float(np.median(slowness)) if slowness else 1.0)
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ import io
 import json
 import zipfile
 from collections.abc import Generator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -18,8 +18,10 @@ from typing import Any
 import jinja2
 import numpy as np
 from markupsafe import Markup
+from msgspec import structs
 
 from ..rain.settings import RainSettings
+from ..rain.simulation import RainSimulation
 from ..render.cpu.splats import NEAR_M
 from ..render.draw import RenderView, rain_camera
 from ..render.opengl.shaders import ShaderSource
@@ -31,7 +33,7 @@ from ..scene.progress import Progress
 from ..scene.scene import Scene
 from ..scene.transforms import world_to_file
 from .page_scene import POSE_STEP_S, PageScene, page_scene
-from .rain_states import RainStates, check_rain, rain_states
+from .rain_states import STEPS_MM_H, RainStates, check_rain, rain_states
 
 LONGEST_S = 600.0
 """Longest path on a page."""
@@ -99,7 +101,8 @@ def write_page(
         raise ValueError(f"the path takes {length_s:.0f} s, a page has room for {LONGEST_S:g} s")
     yield Progress(0.0, "Sampling the sky")
     time_s = sequence.start_s
-    sky = sequence.sky(renderer)
+    rainiest = RainSimulation.start(structs.replace(rain, intensity_mm_h=STEPS_MM_H[-1]))
+    sky = replace(sequence, rainfall=rainiest).sky(renderer)  # its clouds, too, where the rain itself is off
     content = yield from page_scene(scene, time_s, length_s)
     yield Progress(0.9, "Writing the page")
     views = [sequence.shot_at(time_s + step * _STEP_S) for step in range(round(length_s / _STEP_S) + 1)]

@@ -17,6 +17,9 @@ from ..scene.scene import Scene
 STEPS_MM_H = 0.0, 0.5, 1.0, 2.5, 5.0, 8.5, 12.0, 18.0, 25.0, 35.0, 50.0
 """Intensities of the slider, besides the rain's own."""
 
+OPENING_MM_H = 8.5
+"""Where the slider of a rain that is off stands at first."""
+
 AROUND_PATH_M, _MOST_ROOFS_M = 60.0, 300.0  # of the roofs on a page; farther ones shelter nothing there
 
 _UNLIKE_A_PAGE = (
@@ -38,7 +41,7 @@ class RainStates(NamedTuple):
     roofs: ShelterMap | None
     """Roofs near the path; None without any."""
     chosen: int
-    """Step of the rain's own intensity."""
+    """Step at which the slider stands at first: the rain's own intensity, or `OPENING_MM_H`."""
 
 
 def check_rain(rain: RainSettings) -> None:
@@ -92,7 +95,7 @@ def rain_states(
     if roofs is not None:
         rows, columns = roofs.heights_m.shape
         settings["roofs"] = {"rows": rows, "columns": columns, "corner": roofs.corner_m, "cell": roofs.cell_m}
-    return RainStates(settings, states, roofs, steps.index(rain.intensity_mm_h))
+    return RainStates(settings, states, roofs, steps.index(rain.intensity_mm_h or OPENING_MM_H))
 
 
 def _state(simulation: RainSimulation, sky: dict[bool, SkyLight]) -> dict[str, Any]:

@@ -51,34 +51,35 @@ STREAK_REGION = RegionBox(minimum_m=(-1.0, -3.0, -1.5), maximum_m=(5.0, 3.0, 4.5
 HAZE_REGION = RegionBox(minimum_m=(-10.0, -10.0, -1.5), maximum_m=(60.0, 10.0, 20.5))
 
 
-class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, repr_omit_defaults=True):
     """Rain parameters. The defaults are physical; docs/physics.md gives the reason for each."""
 
     # fmt: off
     intensity_mm_h: Annotated[float, Meta(
         ge=0, le=HEAVIEST_MM_H, title="Intensity", extra={
             "unit": "mm/h", "option": "rain intensity", "commands": "render, disdrometer, evaluate streaks"},
-        description="Rainfall intensity R (eq. 8). Calibrated up to 13 mm/h.")] = 0.0
+        description="Rainfall intensity R. Calibrated up to 13 mm/h.")] = 0.0
     exposure_s: Annotated[float | None, Meta(
         title="Exposure", extra={
             "unit": "s", "ge": 1e-5, "le": 1.0, "commands": "render, drive, evaluate detection"},
-        description="Shutter time T (eq. 5); none takes that of --sensor, or the camera's own (4 ms by day).")] = None
+        description="Exposure time T, in which drops make streaks; without one, the sensor's, or the camera's own "
+        "(4 ms by day).")] = None
     seed: Annotated[int, Meta(
         ge=0, le=2**32 - 1, title="Seed",
         extra={"group": "Wind and seed", "commands": "render, disdrometer, drive, evaluate streaks"},
         description="Same seed and time, same drops.")] = 0
 
     streaks: Annotated[bool, Meta(
-        title="Streaks", extra={"commands": "render"}, description="Draw near drops as streaks (eq. 10-12).")] = True
+        title="Streaks", extra={"commands": "render"}, description="Draw near drops as streaks.")] = True
     haze: Annotated[bool | Literal["medium", "gaussians", "none"], Meta(
-        title="Haze", extra={"commands": "render", "negative": "none"},
+        title="Haze model", extra={"commands": "render", "negative": "none"},
         description="Far drops. medium: extinction and airlight along each ray. "
-        "gaussians: the paper's (eq. 6, 7). none: not drawn.")] = "medium"
+        "gaussians: the paper's. none: not drawn.")] = "medium"
     visibility_m: Annotated[float | None, Meta(
-        title="Visibility", extra={
+        title="Fog visibility", extra={
             "unit": "m", "ge": 10.0, "le": 100_000.0, "scale": "log", "none": "no fog", "usual": 500.0,
             "commands": "render, drive, evaluate detection"},
-        description="Fog without drops, at any intensity: distance at which it leaves 5 % of a contrast "
+        description="Adds fog without drops, at any intensity: distance at which it leaves 5 % of a contrast "
         "(Koschmieder).")] = None
     roofs: Annotated[bool, Meta(
         title="Shelter under roofs", extra={"commands": "render"},
@@ -88,7 +89,7 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         description="Region in which drops are simulated one by one.")] = STREAK_REGION
     haze_region: Annotated[RegionBox | None, Meta(
         title="Haze region", extra={"group": "Regions"},
-        description="Region of the haze; none is everywhere, or a box of 70 m for the paper's Gaussians.")] = None
+        description="Region of the haze; without one, everywhere, or a box of 70 m for the paper's Gaussians.")] = None
 
     wind_speed_m_s: Annotated[float, Meta(
         ge=0, le=60, title="Wind speed", extra={
@@ -97,7 +98,7 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         description="Mean wind at 10 m above the ground; less below (roughness length).")] = 2.0
     wind_from_deg: Annotated[float, Meta(
         ge=0, le=360, title="Wind from", extra={
-            "unit": "degrees", "option": "wind-from", "group": "Wind and seed",
+            "unit": "deg", "option": "wind-from", "group": "Wind and seed",
             "commands": "render, disdrometer, drive, evaluate streaks"},
         description="Direction the wind blows from: 0 north (world y), 90 east (world x).")] = 240.0
     wind_m_s: Annotated[tuple[float, float] | None, Meta(
@@ -113,68 +114,72 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         description="RMS of the air's velocity, along each axis, in eddies that move drops one by one.")] = 0.6
     roughness_m: Annotated[float, Meta(
         ge=0.001, le=2, title="Roughness length", extra={"unit": "m", "group": "Wind and seed", "scale": "log"},
-        description="z_0 of the wind's logarithmic profile: 0.03 grass, 0.3 suburbs, 1 towns.")] = 0.3
+        description="Of the wind's logarithmic profile (z_0): 0.03 grass, 0.3 suburbs, 1 towns.")] = 0.3
 
     calibration: Annotated[str, Meta(
         title="Calibration", extra={"commands": "render, disdrometer"},
         description="Name of a shipped calibration, or a calibration file.")] = "published"
     closure: Annotated[Literal["density", "published"], Meta(
-        title="Closure", extra={
+        title="Number of drops from", extra={
             "option": "drop-density", "commands": "render, disdrometer", "group": "Physics",
-            "spelling": {"flux": "density", "table": "published"}},
-        description="flux (density): as many drops as the intensity needs. "
+            "spelling": {"flux": "density", "table": "published"},
+            "titles": {"density": "rain rate", "published": "table"}},
+        description="Rain rate (flux, density): as many drops as the intensity needs. "
         "table (published): those of the calibration's table.")] = "density"
     diameter_scale: Annotated[float, Meta(
-        ge=0.25, le=4, title="Drop size", extra={
+        ge=0.25, le=4, title="Drop size factor", extra={
             "group": "Physics", "scale": "log", "commands": "render, disdrometer, drive"},
-        description="Multiplies all diameters. With the closure flux, fewer large or more small drops give the same "
-        "mm/h.")] = 1.0
+        description="Multiplies all diameters. If the rain rate gives the number of drops, fewer large or more "
+        "small ones give the same mm/h.")] = 1.0
     velocity: Annotated[Literal["calibration", "atlas"], Meta(
         title="Fall speed", extra={"group": "Physics"},
-        description="V(D) (eq. 9): the calibration's fit, or Atlas 1973.")] = "calibration"
+        description="Fall speed by diameter: the calibration's fit, or Atlas et al. (1973).")] = "calibration"
 
     streak_frame: Annotated[Literal["camera", "world"], Meta(
         title="Streak frame", extra={"group": "Physics"},
         description="camera: streaks follow the drop's motion seen from the moving camera.")] = "camera"
     rain_light: Annotated[Literal["linear", "display"], Meta(
-        title="Light", extra={"option": "blend-space", "commands": "evaluate streaks", "group": "Physics"},
+        title="Drop blending", extra={"option": "blend-space", "commands": "evaluate streaks", "group": "Physics"},
         description="linear: a drop's light adds in linear space. display: the paper's mixing.")] = "linear"
     far_drops: Annotated[Literal["haze", "published"], Meta(
         title="Far drops", extra={"group": "Physics"},
         description="haze: far drops are haze only. published: drawn with the haze opacity.")] = "haze"
     streak_reset: Annotated[Literal["lattice", "paper"], Meta(
-        title="Streak reset", extra={"group": "Physics"},
+        title="Drop re-entry", extra={"group": "Physics"},
         description="lattice: uniform density. paper: drops re-enter at the top only.")] = "lattice"
     haze_reset: Annotated[Literal["fade", "paper"], Meta(
-        title="Haze reset", extra={"group": "Physics"},
+        title="Haze update", extra={"group": "Physics"},
         description="fade: come and go slowly. paper: jump each frame.")] = "fade"
 
     critical_haze_coefficient: Annotated[float, Meta(
-        ge=0.1, le=50, title="Critical haze coefficient", extra={"group": "Appearance", "scale": "log"},
-        description="phi (eq. 6, 7): drops beyond phi f D are haze.")] = 2.0
+        ge=0.1, le=50, title="Streak-to-haze factor", extra={"group": "Appearance", "scale": "log"},
+        description="The paper's critical haze coefficient phi: drops farther than phi times focal length (px) times "
+        "diameter are haze, nearer ones streaks.")] = 2.0
     max_copies: Annotated[int, Meta(
         ge=1, le=16, title="Gaussians a streak",
         description="n_max (eq. 10-12): at most so many Gaussians a streak.")] = 4
     haze_opacity: Annotated[float, Meta(
         ge=0.001, le=0.5, title="Haze opacity", extra={"group": "Appearance", "scale": "log"},
-        description="alpha_m (eq. 7): largest alpha of a haze Gaussian.")] = 0.05
+        description="Largest alpha of a haze Gaussian, the paper's alpha_m.")] = 0.05
     haze_sigma_m: Annotated[float, Meta(
         ge=0.05, le=5, title="Haze size", extra={"unit": "m", "group": "Appearance", "scale": "log"},
-        description="s_h: standard deviation of a haze Gaussian.")] = 0.5
+        description="Standard deviation of a haze Gaussian, the paper's s_h.")] = 0.5
     haze_count: Annotated[int | None, Meta(
         title="Haze Gaussians", extra={"ge": 0, "le": 200_000},
         description="M: none takes as many as the extinction needs, and splits them up to be smooth.")] = None
     haze_gain: Annotated[float, Meta(
-        ge=0, le=50, title="Haze gain", extra={"group": "Appearance", "slider_to": 10.0, "commands": "render"},
+        ge=0, le=50, title="Haze gain",
+        extra={"unit": "x", "group": "Appearance", "slider_to": 10.0, "commands": "render"},
         description="Multiplies the extinction; 1 is physical.")] = 1.0
     streak_gain: Annotated[float, Meta(
         ge=0, le=50, title="Streak gain",
-        extra={"group": "Appearance", "slider_to": 10.0, "commands": "render, evaluate streaks"},
-        description="Multiplies the streaks' opacity (eq. 5); 1 is physical.")] = 1.0
+        extra={"unit": "x", "group": "Appearance", "slider_to": 10.0, "commands": "render, evaluate streaks"},
+        description="Multiplies the streaks' opacity; 1 is physical.")] = 1.0
     sensor: Annotated[str | None, Meta(
-        title="Sensor", extra={"group": "Camera", "commands": "render, drive, evaluate detection, evaluate streaks"},
-        description="Camera: automotive, pinhole, rainsense, waymo_front, or a sensor file. None is the lens and "
-        "readout of automotive for drops; one by its name also sets shutter, noise, tone curve and JPEG.")] = None
+        title="Camera model",
+        extra={"group": "Camera", "commands": "render, drive, evaluate detection, evaluate streaks"},
+        description="Sensor and lens: automotive, pinhole, rainsense, waymo_front, or a sensor file; also sets "
+        "exposure, noise, tone curve and JPEG. Without one, drops get the lens and readout of automotive.")] = None
     aperture_mm: Annotated[float | None, Meta(
         title="Aperture",
         extra={"unit": "mm", "ge": 0.0, "le": 50.0, "group": "Camera", "slider_to": 10.0, "none": "the sensor's",
@@ -186,13 +191,13 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         description="Distance that is sharp in place of the sensor's; 10 m for an aperture of your own.")] = None
     glass: Annotated[Literal["none", "windshield", "lens"], Meta(
         title="Glass", extra={"group": "Glass", "commands": "render, drive, evaluate detection"},
-        description="Glass in front of the camera, on which rain lands (docs/physics.md, 18). windshield: of cameras "
+        description="Glass in front of the camera, on which rain lands. windshield: of cameras "
         "that look ahead. lens: of each camera.")] = "none"
     wiper: Annotated[Literal["auto", "off", "interval", "low", "high"], Meta(
         title="Wiper", extra={"group": "Glass", "commands": "render, drive, evaluate detection"},
         description="Wiper of the windshield; auto is a rain sensor.")] = "auto"
     glass_wet_s: Annotated[float, Meta(
-        ge=0, le=600, title="Wet before", extra={
+        ge=0, le=600, title="Rain before start", extra={
             "unit": "s", "group": "Glass", "slider_to": 60.0, "commands": "render, drive, evaluate detection"},
         description="Time for which rain has landed on the glass at time 0.")] = 20.0
     glass_dirt: Annotated[float, Meta(
@@ -200,28 +205,29 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         description="Dirt on the glass, which spreads light as a haze.")] = 0.1
     contact_angle_deg: Annotated[float, Meta(
         ge=15, le=90, title="Contact angle", extra={
-            "unit": "degrees", "option": "contact-angle", "group": "Glass",
+            "unit": "deg", "option": "contact-angle", "group": "Glass",
             "commands": "render, drive, evaluate detection"},
         description="Angle between drops and glass at the rim: 30 on clean glass, 90 with water repellent.")] = 50.0
     glass_distance_m: Annotated[float | None, Meta(
         title="Glass distance", extra={
             "unit": "m", "ge": 0.005, "le": 2.0, "group": "Glass", "scale": "log", "none": "by the kind of glass",
             "usual": 0.12, "commands": "render, drive, evaluate detection"},
-        description="From the lens along its axis; none is 0.12 m for a windshield and 0.02 m for a lens.")] = None
+        description="From the lens along its axis; without one, 0.12 m for a windshield and 0.02 m for a lens.")] = None
     drop_color: Annotated[Vector | None, Meta(
         title="Drop color",
-        description="Display color of drops (eq. 3), rain and fog; none takes those of the scene's sky.")] = None
+        description="Display color of drops, rain and fog; without one, those of the scene's sky.")] = None
 
     lamps: Annotated[str | None, Meta(
-        title="Lamps", extra={"group": "Lamps", "commands": "render, drive, evaluate detection"},
+        title="Light sources", extra={"group": "Lamps", "commands": "render, drive, evaluate detection"},
         description="Lamps that light drops and medium: none, auto (found as bright spots of a dark scene), headlights "
         "(of all vehicles, and the scene's fixed lamps), or a file. Default: the scene's own.")] = None
     lamp_gain: Annotated[float, Meta(
-        ge=0, le=MAX_LAMP_GAIN, title="Lamp light", extra={"group": "Lamps", "slider_to": 2.0, "commands": "render"},
+        ge=0, le=MAX_LAMP_GAIN, title="Lamp brightness",
+        extra={"unit": "x", "group": "Lamps", "slider_to": 2.0, "commands": "render"},
         description="Multiplies the light of all lamps; 0 switches them off.")] = 1.0
     wetness: Annotated[float | None, Meta(
         title="Wetness", extra={"ge": 0.0, "le": 1.0, "commands": "render"},
-        description="Share of soaked colors, 0..1; 0 is as lit; none follows the rain (docs/physics.md, 11).")] = None
+        description="Share of soaked colors, 0..1; 0 is as lit; without one, it follows the rain.")] = None
     mirror: Annotated[bool, Meta(
         title="Reflections", extra={"commands": "render, drive, evaluate detection"},
         description="Water on the ground reflects the scene as it is, in scenes with a map of that water.")] = True

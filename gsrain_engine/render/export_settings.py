@@ -43,25 +43,26 @@ class ExportSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
         description="PNG, JPEG, EXR or NPY for a still, MP4 or WebM for a video, a folder for numbered frames.")]
     size_px: Annotated[tuple[Pixels, Pixels] | None, Meta(
         title="Size", extra={"unit": "px", "commands": "render"},
-        description="Width and height; none takes each rig camera's own.")] = None
+        description="Width and height; without them, each rig camera's own.")] = None
     fps: Annotated[float, Meta(
-        ge=0.1, le=1000, title="Frame rate", extra={"unit": "1/s", "commands": "render"},
-        description="Frames a second.")] = 30.0
+        ge=0.1, le=1000, title="Frame rate", extra={"unit": "fps", "commands": "render"},
+        description="Frames per second.")] = 30.0
     first_s: Annotated[float, Meta(
         ge=-36000, le=36000, title="From", extra={"unit": "s", "option": "time from", "commands": "render"},
         description="Moment of the first frame.")] = 0.0
     last_s: Annotated[float | None, Meta(
         title="To", extra={"unit": "s", "option": "to", "commands": "render"},
-        description="Moment at which the clip ends; none: where the path ends.")] = None
+        description="Moment at which the clip ends; without one, where the path ends.")] = None
     supersampling: Annotated[int, Meta(
         ge=1, le=4, title="Supersampling", extra={"commands": "render"},
         description="Draw so many times wider and higher, and take the mean. Which drops exist stays the same.")] = 1
     motion_blur: Annotated[int, Meta(
         ge=1, le=64, title="Motion blur", extra={"commands": "render"},
-        description="k sub-frames over the exposure T, with T/k each, averaged in linear light. 1 is none.")] = 1
+        description="So many sub-frames over the exposure, averaged in linear light. 1 is none.")] = 1
     cameras: Annotated[tuple[str, ...], Meta(
         title="Cameras", extra={"commands": "render"},
-        description="Rig cameras: RIG, RIG/NAME, NAME, or all; each gets a file of its own. None takes the path.")] = ()
+        description="Rig cameras (RIG, RIG/NAME, NAME, or all); each gets a file of its own. Without one, the camera "
+        "path.")] = ()
     passes: Annotated[tuple[Pass, ...], Meta(
         min_length=1, title="Passes", extra={"commands": "render"},
         description="color; depth (16 bit, cm); alpha (8 bit); labels: which layer or actor a pixel shows.",

@@ -198,9 +198,9 @@ class FrameSequence:
         return replace(frame, optics=optics)
 
     def _without_airlight(self, renderer: Renderer, frame: Frame, sky: SkyLight, shot: RenderView) -> Frame:
-        """Remove the medium's light before the transparent background, whose distance is unknown.
+        """Remove the medium's light behind the scene, as far as there is nothing but the transparent background.
 
-        What covers a pixel is the scene and the streaks, drawn once more without the medium.
+        What covers a pixel is the scene and the streaks, drawn once more without the medium, which covers the rest.
         """
         rain = msgspec.structs.replace(self.rainfall.rain, haze="none", visibility_m=None)
         clear_air = RainSimulation.start(rain, weather=self.rainfall.weather)
@@ -208,7 +208,7 @@ class FrameSequence:
         draw_view(renderer, self.scene, clear_air, sky, shot, falls=self.falls, bands=bands)
         alpha = bands.frame.rgba[..., 3:]
         airlight = np.array(self.rainfall.rain.drop_color or sky.airlight, np.float32)
-        color = np.maximum(frame.rgba[..., :3] - (1 - alpha) * airlight, 0)
+        color = np.maximum(frame.rgba[..., :3] - np.maximum(frame.rgba[..., 3:] - alpha, 0) * airlight, 0)
         return replace(frame, rgba=np.concatenate([np.minimum(color, alpha), alpha], axis=-1))
 
     def image(

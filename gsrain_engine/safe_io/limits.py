@@ -45,6 +45,8 @@ _MESH = "a mesh or a point cloud, no Gaussians"
 _HEIC = "an HEIC or AVIF picture: convert it to JPEG or PNG"
 
 _KINDS = (
+    _FileKind("a bag of ROS 1: rosbags-convert turns it into one of ROS 2", (b"#rosbag v",), suffixes=(".bag",)),
+    _FileKind("the list of a ROS 2 bag's files: give its folder", (b"rosbag2_bagfile_information",)),
     _FileKind(
         "a pointer of Git LFS, not the file itself: run git lfs pull where it was cloned", (b"version https://git-lfs",)
     ),

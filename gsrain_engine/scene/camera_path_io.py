@@ -14,7 +14,7 @@ from .camera_path import CameraPath, Interpolation
 from .camera_path_edit import WALKING_M_S, keyframe_camera, with_constant_speed
 from .easing import KEY_EASINGS, Easing
 from .files import SceneFormatError, read_json, whole_file
-from .formats.gltf import read_glb_camera_path
+from .formats.gltf import GLTF, read_gltf_camera_path
 from .geometry import normalized, quaternions_from_matrices
 from .transforms import world_to_file
 
@@ -29,17 +29,15 @@ _NUMBERS = re.compile(r"([0-9]+)")
 def read_camera_path(path: Path | str, scene_to_world: Float64[np.ndarray, "4 4"] | None = None) -> CameraPath:
     """Read a camera path of any format, in the scene's own units and axes.
 
-    Those of JSON files are these. A camera of a `.glb` is placed as in the `.glb` that the scene is written to, in
-    meters and y up: `scene_to_world` is that of the scene; None is that of files of Gaussians (1 m, -y up).
+    Those of JSON files are these. A camera of a `.glb` or `.gltf` is placed as in the `.glb` that the scene is written
+    to, in meters and y up: `scene_to_world` is that of the scene; None is that of files of Gaussians (1 m, -y up).
     """
-    if Path(path).suffix.lower() == ".glb":
+    if Path(path).suffix.lower() in GLTF:
         try:
-            found = read_glb_camera_path(Path(path))
+            found = read_gltf_camera_path(Path(path))
         except OSError as error:
             raise SceneFormatError(path, f"can't be read: {error.strerror}") from None
         return found if scene_to_world is None else found.moved(np.linalg.inv(world_to_file() @ scene_to_world))
-    if Path(path).suffix.lower() == ".gltf":
-        raise SceneFormatError(path, "cameras of glTF are read from a .glb (glTF Binary), not from a .gltf")
     values = read_json(path)
     try:
         with np.errstate(all="ignore"):  # the path's own checks report overflow and division by 0

@@ -33,12 +33,12 @@ class ControllerSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
 
     kind: Annotated[
         Literal["ilqr", "pure-pursuit"],
-        Meta(title="Controller", description="nuPlan's tracker, as HUGSIM uses it, or the plain geometric one."),
+        Meta(title="Path tracker", description="nuPlan's tracker, as HUGSIM uses it, or the plain geometric one."),
     ] = "ilqr"
     heading_reference: Annotated[
         HeadingReference,
         Meta(
-            title="Heading reference",
+            title="Tracker target heading",
             description="Heading that the tracker wants: the plan's own, or HUGSIM's published arctan2 of swapped "
             "arguments, with all else as published too, to reproduce its numbers.",
         ),
@@ -46,17 +46,17 @@ class ControllerSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
     iterations: Annotated[int, Meta(ge=1, le=1000, title="Iterations")] = 100
     most_acceleration_m_s2: Annotated[
         float,
-        Meta(gt=0, le=20, title="Most acceleration", description="That the tracker asks for; nuPlan's.",
-             extra={"unit": "m/s2"}),
+        Meta(gt=0, le=20, title="Max. acceleration", description="That the tracker asks for; nuPlan's.",
+             extra={"unit": "m/s\u00b2"}),
     ] = 3.0  # fmt: skip
     most_braking_m_s2: Annotated[
         float,
         Meta(
             gt=0,
             le=20,
-            title="Most braking",
+            title="Max. braking",
             description="That the tracker asks for, whatever the vehicle could do; nuPlan's and HUGSIM's is 3.",
-            extra={"unit": "m/s2"},
+            extra={"unit": "m/s\u00b2"},
         ),
     ] = 3.0
 

@@ -111,6 +111,10 @@ class Rollout(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         """Steps with a plan: the paper's F frames."""
         return tuple(each for each in self.steps if each.plan)
 
+    def __repr__(self) -> str:
+        about = f"{self.agent} in {self.intensity_mm_h:g} mm/h, {len(self.steps) - 1} steps, end: {self.end}"
+        return f"<gsrain.Rollout of {self.scenario_name}: {about}>"
+
     def boxes(self, step: RolloutStep) -> tuple[PlanarBox, ...]:
         """Return the ground boxes of the road users at a step, in their order."""
         return tuple(

@@ -49,7 +49,7 @@ class ScenarioUser(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     ] = "along-route"  # fmt: skip
     ahead_m: Annotated[
         float,
-        Meta(ge=-500, le=500, title="Ahead", description="From the ego vehicle's middle to its middle, at the start.",
+        Meta(ge=-500, le=500, title="Ahead", description="Center to center, from the ego vehicle, at the start.",
              extra={"unit": "m"}),
     ] = 0.0  # fmt: skip
     left_m: Annotated[
@@ -59,8 +59,8 @@ class ScenarioUser(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     ] = 0.0  # fmt: skip
     turned_deg: Annotated[
         float,
-        Meta(ge=-180, le=180, title="Turned", description="To the left, from the route's direction; straight: from "
-             "the ego vehicle's.", extra={"unit": "deg"}),
+        Meta(ge=-180, le=180, title="Heading offset", description="To the left, from the route's direction; "
+             "straight: from the ego vehicle's.", extra={"unit": "deg"}),
     ] = 0.0  # fmt: skip
     speed_m_s: Annotated[float, Meta(ge=0, le=60, title="Speed", extra={"unit": "m/s"})] = 0.0
     behaviour: BehaviorSettings
@@ -92,7 +92,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     left_m: Annotated[float, Meta(ge=-20, le=20, title="Left of the route", extra={"unit": "m"})] = 0.0
     turned_deg: Annotated[
         float,
-        Meta(ge=-180, le=180, title="Turned", description="From the route's direction, to the left.",
+        Meta(ge=-180, le=180, title="Heading offset", description="From the route's direction, to the left.",
              extra={"unit": "deg"}),
     ] = 0.0  # fmt: skip
     speed_m_s: Annotated[float, Meta(ge=0, le=60, title="Initial speed", extra={"unit": "m/s"})] = 10.0
@@ -103,16 +103,16 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     road_users: tuple[ScenarioUser, ...] = ()
     rain: RainSettings = RainSettings()
     friction: Annotated[Friction, Meta(
-        title="Friction", extra={"commands": "drive"},
-        description="Of the road under all vehicles. dry: each has its own limits. wet: less by speed and water, which "
-        "agents don't know (docs/physics.md, 21).")] = "dry"  # fmt: skip
+        title="Road surface", extra={"commands": "drive"},
+        description="Friction of the road under all vehicles. dry: each has its own limits. wet: less, by speed and "
+        "water, which agents don't know.")] = "dry"  # fmt: skip
     vehicle: Vehicle = Vehicle()
     controller: ControllerSettings = ControllerSettings()
-    step_s: Annotated[float, Meta(gt=0, le=1, title="Step", description="HUGSIM's is 0.25 s.", extra={"unit": "s"})] = (
-        0.25
-    )
+    step_s: Annotated[
+        float, Meta(gt=0, le=1, title="Time step", description="HUGSIM's is 0.25 s.", extra={"unit": "s"})
+    ] = 0.25
     duration_s: Annotated[float, Meta(
-        gt=0, le=600, title="Longest duration", extra={"unit": "s", "commands": "drive"},
+        gt=0, le=600, title="Max. duration", extra={"unit": "s", "commands": "drive"},
         description="The drive ends then at the latest.")] = 15.0  # fmt: skip
     leave_m: Annotated[
         float,

@@ -27,16 +27,16 @@ class Vehicle(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
              extra={"unit": "m"}),
     ] = 1.0  # fmt: skip
     most_acceleration_m_s2: Annotated[
-        float, Meta(gt=0, le=20, title="Most acceleration", extra={"unit": "m/s2"})
+        float, Meta(gt=0, le=20, title="Max. acceleration", extra={"unit": "m/s\u00b2"})
     ] = 3.0  # fmt: skip
     most_braking_m_s2: Annotated[
-        float, Meta(gt=0, le=20, title="Most braking", description="On a dry road.", extra={"unit": "m/s2"})
+        float, Meta(gt=0, le=20, title="Max. braking", description="On a dry road.", extra={"unit": "m/s\u00b2"})
     ] = 8.0  # fmt: skip
     most_steer_rad: Annotated[
-        float, Meta(gt=0, le=1.5, title="Most steering", description="Of the front wheels.", extra={"unit": "rad"})
+        float, Meta(gt=0, le=1.5, title="Max. steering", description="Of the front wheels.", extra={"unit": "rad"})
     ] = 1.0471975511965976  # fmt: skip
     most_steer_rate_rad_s: Annotated[
-        float, Meta(gt=0, le=5, title="Most steering rate", extra={"unit": "rad/s"})
+        float, Meta(gt=0, le=5, title="Max. steering rate", extra={"unit": "rad/s"})
     ] = 0.4  # fmt: skip
     top_speed_m_s: Annotated[float, Meta(gt=0, le=100, title="Top speed", extra={"unit": "m/s"})] = 50.0
 

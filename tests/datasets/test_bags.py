@@ -8,6 +8,7 @@ import pytest
 from gsrain_engine.datasets.bags.containers import BagMessage, McapContainer, Place, Topic
 from gsrain_engine.datasets.bags.messages import read_calibration, read_cloud, read_image
 from gsrain_engine.datasets.bags.pixels import colors_of, is_picture, with_colors
+from gsrain_engine.datasets.bags.reader import read_bag_recording
 from gsrain_engine.datasets.capture import CaptureError, Lens
 from gsrain_engine.datasets.open_capture import capture_format, open_capture
 from mini_drive import MiniDrive
@@ -70,7 +71,9 @@ def test_poses_between_transforms_are_interpolated_and_none_are_made_up_far_outs
 
 
 def test_without_transforms_the_pictures_have_no_poses(tmp_path):
-    capture = open_capture(write_bag(tmp_path / "bag", drive_messages(DRIVE, "none")))
+    recording = read_bag_recording(write_bag(tmp_path / "bag", drive_messages(DRIVE, "none")))
+    assert [topic.name for topic in recording.others] == ["/front/camera_info", "/labels"]
+    capture = recording.capture
     assert not capture.has_poses and len(capture) == len(capture.sweeps) == 3
     assert "no transforms (/tf) and no odometry" in capture.problems[-1]
 

@@ -52,6 +52,7 @@ NEAREST: list[tuple[Callable[[Path], Path], str]] = [
     (files({"cameras.json": b"[]"}), "capture folder without pictures"),
     (files({"meta.json": b'{"title": "my pictures"}'}), "SOG without its pictures (*.webp)"),
     (SCENES, "a folder of scenes (give one of the files in it: cat.splat, dog.spz)"),
+    (files({"drive_0.mcap": b""}), "a ROS 2 bag without metadata.yaml (give the .mcap or .db3"),
     (PHONE, "a folder of pictures of formats that can't be read (convert them to JPEG or PNG): IMG_1.HEIC"),
 ]
 

@@ -6,6 +6,7 @@ import signal
 import numpy as np
 import psutil
 
+from gsrain_engine.editor.jobs.process import install_sigterm_handler
 from gsrain_engine.scene.progress import Progress
 
 
@@ -34,6 +35,14 @@ def killed(_):
 def leaving(_):
     yield Progress(0.25, "about to leave")
     os._exit(3)
+
+
+def ended(_):
+    """Work that unwinds when it is ended, as recordings do."""
+    install_sigterm_handler()
+    yield Progress(0.25, "about to be ended")
+    os.kill(os.getpid(), signal.SIGTERM)
+    yield Progress(0.5, "never reached")
 
 
 def hungry(_):

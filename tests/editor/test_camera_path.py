@@ -52,7 +52,7 @@ def test_a_drag_in_time_is_one_step(editor):
         editor.camera_path.drag_in_time(seconds)
     editor.camera_path.end_drag()
     assert editor.document.scene.path.times_s == pytest.approx([0, 1.9, 2, 4])
-    assert editor.document.history.labels[-2:] == ["Insert keyframe", "Move keyframe"]
+    assert editor.document.history.labels[-2:] == ["Insert camera keyframe", "Move keyframe"]
     editor.document.undo()
     assert editor.document.scene.path is path
     editor.camera_path.begin_drag(0)

@@ -262,7 +262,7 @@ def test_a_drag_is_one_step_from_where_it_began(editor):
         document.edit_keyframes("Move", rain_keyframes.move_keyframe, "intensity_mm_h", 1, to_s, gesture="drag")
     document.end_gesture()
     document.edit_keyframes("Move", rain_keyframes.move_keyframe, "intensity_mm_h", 1, 13.0, gesture="drag")
-    assert [each.label for each in document.history.steps] == ["Open", "Keys", "Move", "Move"]
+    assert [each.label for each in document.history.steps] == ["Opened", "Keys", "Move", "Move"]
     assert document.history.steps[2].arguments == ("intensity_mm_h", 1, 11.0)
     assert document.keyframes.times_s[1] == 13.0 and len(document.keyframes.keys) == 7
     assert len(heard) == 4 and heard[-1] == (document.history.previous, document.state)
@@ -278,7 +278,7 @@ def test_a_drag_after_an_undo_drops_the_redo_steps(editor):
     document.edit_keyframes("Keys", rain_keyframes.add_shower, 0.0)
     document.undo()
     document.change_rain("Rain", "drag", intensity_mm_h=3.0)
-    assert [each.label for each in document.history.steps] == ["Open", "Rain"]
+    assert [each.label for each in document.history.steps] == ["Opened", "Rain"]
     assert document.rain.intensity_mm_h == 3.0 and document.history.redo_label is None
 
 

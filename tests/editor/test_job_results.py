@@ -26,7 +26,7 @@ def test_snapshots_and_result_are_one_step_that_is_undone_at_once(editor):
         take(layers, is_final)
         swap_in()
         assert len(editor.document.scene.layers) == layers
-        assert editor.document.history.labels == ["Open", "Grow"]
+        assert editor.document.history.labels == ["Opened", "Grow"]
     editor.document.undo()
     assert editor.document.scene is before
     editor.document.redo()
@@ -48,10 +48,10 @@ def test_a_result_is_a_step_of_its_own_after_another_edit(editor):
     editor.document.change_rain("Intensity", intensity_mm_h=5.0)
     take(2)
     swap_in()
-    assert editor.document.history.labels == ["Open", "Intensity"]
+    assert editor.document.history.labels == ["Opened", "Intensity"]
     take(3, is_final=True)
     swap_in()
-    assert editor.document.history.labels == ["Open", "Intensity", "Grow"]
+    assert editor.document.history.labels == ["Opened", "Intensity", "Grow"]
     assert (len(editor.document.scene.layers), editor.document.rain.intensity_mm_h) == (3, 5)
 
 

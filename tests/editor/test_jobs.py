@@ -13,7 +13,7 @@ import psutil
 import pytest
 
 from editor.files.open_document import full_disk
-from editor.job_work import deaf, endless, failing, hungry, killed, leaving, painting, succeeding
+from editor.job_work import deaf, ended, endless, failing, hungry, killed, leaving, painting, succeeding
 from gsrain_engine.editor.jobs.job import Job, JobError, JobRunner, MetricCurves, duration_text
 from gsrain_engine.editor.jobs.process import SharedImage
 from gsrain_engine.scene.progress import Progress
@@ -99,6 +99,7 @@ def with_a_function(folder):
         ({"work": failing, "in_thread": True}, "the third wheel is missing", "in failing"),
         ({"work": killed}, "killed", None),
         ({"work": leaving}, "exit code 3", None),
+        ({"work": ended}, "ended from outside", "in ended"),
         ({"work": hungry}, "the machine ran out of memory", "in hungry"),
         ({"inputs": full_disk}, "No space left", "in full_disk"),
         ({"inputs": with_a_function}, "pickle", "with_a_function"),

@@ -128,7 +128,7 @@ def test_a_training_reports_losses_and_warnings_and_goes_on_from_its_checkpoint(
     assert not studio.can_resume
     for resume in (False, True):
         studio.start(resume=resume)
-        assert studio.why_not.startswith("Train the transfer works in this folder")
+        assert studio.why_not.startswith("Train transfer works in this folder")
         assert studio.job.wait(60) == output / "weights.safetensors"
         assert msgspec.json.decode((output / "task.json").read_bytes()) == [1000, [clear], resume, {}]
         (output / "checkpoint.safetensors").touch()

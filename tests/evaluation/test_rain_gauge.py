@@ -30,6 +30,11 @@ def backdrop():
     return np.where(y < HEIGHT // 4, SKY, 40 + 25 * ((x // 40 + y // 60) % 3)).astype(np.uint8)
 
 
+def reading(frames, horizon_px=HEIGHT):
+    """Reading in front of the backdrop, which has no ground; the law of falling drops is the one of the rain."""
+    return measure_rain_rate(frames, FOCAL_PX, SHUTTER_S, FALL_SPEED, horizon_px)
+
+
 def rain_frames(number, **rain):
     falling = RainSimulation.start(RainSettings(exposure_s=SHUTTER_S, haze="none", **rain))
     noise = np.full((HEIGHT, WIDTH), 0.8, np.float32)
@@ -40,29 +45,39 @@ def rain_frames(number, **rain):
 @pytest.mark.parametrize(("rate", "aperture_mm"), [(10.0, 3.0), (40.0, 0.0)])
 def test_the_rate_that_was_set_is_read(rate, aperture_mm):
     lens = {"aperture_mm": aperture_mm, "focus_distance_m": 1000.0}
-    found = measure_rain_rate(rain_frames(20, intensity_mm_h=rate, **lens), FOCAL_PX, SHUTTER_S, FALL_SPEED)
+    found = reading(rain_frames(20, intensity_mm_h=rate, **lens))
     assert found.intensity_mm_h == pytest.approx(rate, rel=0.25)
     assert found.streaks > 100
     assert found.drop_light == pytest.approx(float(srgb_to_linear(np.array(SKY / 255))), rel=0.08)
     assert found.intensity_mm_h / np.sqrt(found.streaks) < found.error_mm_h < 0.2 * found.intensity_mm_h
 
 
+def test_splashes_below_the_horizon_are_not_rain():
+    frames = rain_frames(8, intensity_mm_h=10.0)
+    splashed = frames.copy()
+    random = np.random.default_rng(0)
+    for frame in splashed:
+        for x, y in random.integers((20, HEIGHT // 2 + 20), (WIDTH - 20, HEIGHT - 40), (300, 2)):
+            frame[y : y + 14, x : x + 3] = SKY
+    assert reading(splashed, horizon_px=None) == reading(frames, horizon_px=None)
+
+
 def test_color_reads_as_gray_does():
     frames = rain_frames(8, intensity_mm_h=10.0)
-    gray = measure_rain_rate(frames, FOCAL_PX, SHUTTER_S, FALL_SPEED)
-    color = measure_rain_rate(np.repeat(frames[..., None], 3, axis=3), FOCAL_PX, SHUTTER_S, FALL_SPEED)
+    gray = reading(frames)
+    color = reading(np.repeat(frames[..., None], 3, axis=3))
     assert color.intensity_mm_h == pytest.approx(gray.intensity_mm_h, rel=1e-3)
 
 
 def test_without_rain_there_is_no_reading():
     with pytest.raises(ValueError, match="streaks: too few"):
-        measure_rain_rate(rain_frames(8, intensity_mm_h=0.0), FOCAL_PX, SHUTTER_S, FALL_SPEED)
+        reading(rain_frames(8, intensity_mm_h=0.0))
 
 
 def test_frames_of_dark_walls_alone_or_too_few_are_refused():
     frames = rain_frames(8, intensity_mm_h=10.0)
     with pytest.raises(ValueError, match="dark and bright"):
-        measure_rain_rate(frames[:, HEIGHT // 2 :], FOCAL_PX, SHUTTER_S, FALL_SPEED)
+        reading(frames[:, HEIGHT // 2 :])
     with pytest.raises(ValueError, match="4 frames"):
         light_residuals(frames[:4])
 

@@ -167,23 +167,23 @@ def test_the_panel_has_the_settings_of_the_rain_and_refuses_what_is_none():
     for name in shipped_config_names("rain"):
         panel.display(gr.Rain.preset(name))
         assert changes == []
-        for label, value in ((each, controls[each].value) for each in ("Streaks", "Haze", "Preset")):
+        for label, value in ((each, controls[each].value) for each in ("Streaks", "Haze model", "Preset")):
             controls[label].update(value, None)  # as viser calls back for a program's change
         assert changes == []
         controls["Seed"].update(7, person)
         assert changes.pop() == msgspec.structs.replace(gr.Rain.preset(name), seed=7), name
     panel.display(gr.Rain(50))
     assert controls["Intensity (mm/h)"].max == 50
-    controls["Visibility"].update(True, person)
-    assert changes.pop().visibility_m == 500 and controls["Visibility (m)"].visible
-    controls["Visibility"].update(False, person)
-    assert changes.pop().visibility_m is None and not controls["Visibility (m)"].visible
+    controls["Fog visibility"].update(True, person)
+    assert changes.pop().visibility_m == 500 and controls["Fog visibility (m)"].visible
+    controls["Fog visibility"].update(False, person)
+    assert changes.pop().visibility_m is None and not controls["Fog visibility (m)"].visible
     controls["Streak region, from (m)"].update((9.0, 0.0, 0.0), person)  # beyond its other corner
     assert changes == [] and "minimum < maximum" in person.notices.pop()
     assert controls["Streak region, from (m)"].value == gr.Rain().streak_region.minimum_m
-    controls["Lamps"].update(True, person)
+    controls["Light sources"].update(True, person)
     assert changes.pop().lamps == "auto"
-    controls["Lamps, value"].update("/etc/passwd", person)  # a browser does not open files of this machine
+    controls["Light sources, value"].update("/etc/passwd", person)  # a browser does not open files of this machine
     controls["Preset"].update("/etc/passwd", person)
     assert changes == []
     controls["Preset"].update("paper", person)

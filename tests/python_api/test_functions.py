@@ -60,6 +60,8 @@ def test_rain_has_short_names_and_all_fields(rain):
         (lambda scene: gr.Rain(intensty=8), "unknown field `intensty`; did you mean `intensity"),
         (lambda scene: gr.Rain(intensity=float("nan")), "nan"),
         (lambda scene: gr.measure_rain(gr.Rain(8.5), seconds=0), "seconds 0"),
+        (lambda scene: gr.render(scene, 8.5), r"rain 8\.5: expected rain settings, such as gr\.Rain"),
+        (lambda scene: gr.render(scene, camera="a.json"), r"camera 'a\.json': expected a gr\.Camera"),
         (lambda scene: gr.render(scene, size=(0, 64)), r">= 1 - at `size\[0\]`"),
         (lambda scene: gr.render_video(scene, None, None, "odd.mp4", size=(97, 64)), "even width"),
         (lambda scene: gr.frames(scene, start=2.0, end=1.0), "end must be above start"),
@@ -192,6 +194,8 @@ def test_wet_colors(scene):
 def test_a_drive(tmp_path, scene):
     run = gr.drive(scene, gr.Rain(5), agent="constant-velocity")
     assert run.metrics.intensity_mm_h == 5 and run.metrics.collided is run.metrics.collision
+    for named in run, run.rollout:
+        assert "constant-velocity in 5 mm/h" in repr(named) and len(repr(named)) < 120
     run.save(tmp_path / "run.jsonl")
     assert gr.read_rollout(tmp_path / "run.jsonl") == run.rollout
     with pytest.raises(ValueError, match="no roll-out"):

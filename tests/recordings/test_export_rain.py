@@ -82,7 +82,7 @@ def test_a_damaged_image_is_named_and_stays_as_it_is(recording, tmp_path, capsys
 def test_a_copy_goes_to_a_new_folder_elsewhere(recording, tmp_path):
     (tmp_path / "taken").mkdir()
     (tmp_path / "taken" / "file").touch()
-    for target in (recording / "inside", tmp_path / "taken"):
+    for target in (recording / "inside", tmp_path / "taken", tmp_path / "rainy.mcap"):
         assert run(["export-rain", str(recording), "-o", str(target), "--rain", "5"]) == 2
     assert sorted(each.name for each in tmp_path.iterdir()) == ["drive", "taken"]
     assert not (recording / "inside").exists()

@@ -67,6 +67,7 @@ def any_renderer(request, open_kind):
 def editor():
     opened = Editor(small_scene())
     opened.playback.clock.playing = False
+    opened.viewport.budget.enabled = False  # each picture in full quality, however slow the machine is
     yield opened
     opened.close()
 

@@ -1,5 +1,7 @@
 """Panoramas, stereo images and transparent backgrounds: geometry, seams, and the files that hold them."""
 
+from dataclasses import replace
+
 import av
 import msgspec
 import numpy as np
@@ -39,10 +41,9 @@ def balls(directions, distance=5.0):
     return Scene("balls", (Layer("balls", gaussians),))
 
 
-def film(scene, camera, **settings):
+def film(scene, camera, mm_h=0.0, **settings):
     recording = ExportSettings(output="frame.npy", size_px=(camera.width, camera.height), **settings)
-    rain = RainSettings(intensity_mm_h=settings.pop("rain", 0.0))
-    return next(film_frames(CpuRenderer(), recording, scene, rain, camera))
+    return next(film_frames(CpuRenderer(), recording, scene, RainSettings(intensity_mm_h=mm_h), camera))
 
 
 def test_faces_fade_into_each_other_and_know_their_directions():
@@ -104,6 +105,13 @@ def test_a_transparent_background_is_that_of_the_file(tmp_path):
         frames = [each for packet in container.demux(stream) for each in decoder.decode(packet)]
     alpha = frames[0].to_ndarray(format="rgba")[..., 3]
     assert len(frames) == 2 and alpha[0].max() < 60 and alpha[-1].min() > 200
+
+
+def test_a_cut_out_has_no_dark_fringe_before_the_ground():
+    scene, camera = replace(balls([(1, 0, 0)], distance=1.0), ground_m=0.0), camera_along([1, 0, -0.3], 96, 64)
+    rgba = film(scene, camera, 12.0, transparent=True).to_rgba8()
+    fringe = rgba[(rgba[..., 3] > 25) & (rgba[..., 3] < 230)]
+    assert len(fringe) > 20 and fringe[:, :3].min() > 150  # a white ball
 
 
 @pytest.mark.parametrize(

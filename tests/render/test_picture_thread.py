@@ -121,7 +121,6 @@ def test_a_picture_of_full_quality_is_given_up_for_a_newer_view_but_never_two_in
     rain(editor)
     pictures.close()
     pictures = PictureThread(OwnContext(), "cpu")
-    editor.viewport.budget.enabled = False  # full quality
     while not pictures.is_settled:  # kernels are loaded
         begin(editor, pictures)
         finish(editor, pictures)
@@ -156,12 +155,19 @@ def test_a_picture_of_full_quality_is_given_up_for_a_newer_view_but_never_two_in
     pictures.close()
 
 
-def test_the_window_wakes_when_a_picture_is_drawn(editor, pictures):
+def test_the_window_wakes_when_a_picture_is_drawn_and_only_then(editor, pictures):
     pictures.close()
     drawn = threading.Event()
     thread = PictureThread(OwnContext(), "opengl", drawn.set)
     begin(editor, thread)
-    assert drawn.wait(60) and thread.take() is not None
+    assert drawn.wait(60) and thread.wait(0.0) and thread.take() is not None and not thread.wait(0.0)
+    for turn, wakes in ((0.0, False), (0.3, True)):
+        drawn.clear()
+        editor.viewport.navigation.orbit(turn, 0.0)
+        begin(editor, thread)
+        thread.wait()
+        assert (thread.take().result.drawn is not None) == wakes
+        assert drawn.is_set() == wakes
     thread.close()
 
 
@@ -174,12 +180,40 @@ def test_overlays_follow_the_picture_on_the_screen(editor, view):
     assert not np.array_equal(editor.viewport.canvas_view(*SIZE).camera.world_to_camera, before)
 
 
+def test_each_pane_is_finished_also_where_the_other_one_is_up_to_date(editor, context):
+    finished = []
+    view = LiveView(context, "opengl", lambda: finished.append(view.last_textures))
+    rain(editor)
+    draw_frame(editor, view)
+    editor.viewport.options.split = "clear | rainy"
+    del finished[:]
+    clear, rainy = draw_frame(editor, view)
+    assert finished == [(clear, rainy)] and clear.read() != rainy.read()
+
+
+def test_an_edit_is_first_drawn_fast_where_a_full_picture_takes_long(editor):
+    budget = editor.viewport.budget
+    budget.enabled = True
+
+    def quality(full_ms):
+        editor.render_input(*SIZE)
+        budget.observe(moving=False, real_s=1.0)
+        budget.measured(LEVELS[0], full_ms)
+        editor.document.change_rain("Seed", seed=round(full_ms))
+        return editor.render_input(*SIZE).quality
+
+    assert quality(50.0).is_exact
+    assert not quality(400.0).is_exact
+    budget.observe(moving=False, real_s=1.0)
+    assert editor.render_input(*SIZE).quality.is_exact
+
+
 def test_playing_rain_holds_the_frame_time_and_a_paused_picture_is_exact(editor):
     def quality():
         return editor.render_input(*SIZE).quality
 
     clock, budget = editor.playback.clock, editor.viewport.budget
-    clock.playing = True
+    clock.playing = budget.enabled = True
     quality()
     budget.measured(LEVELS[0], 10 * budget.target_ms)
     assert quality().is_exact  # a clear scene looks the same at any time
@@ -199,7 +233,7 @@ def test_steady_rain_before_a_still_camera_is_drawn_over_a_backdrop_by_the_proce
 
     clock, viewport = editor.playback.clock, editor.viewport
     rain(editor)
-    clock.playing = True
+    clock.playing = viewport.budget.enabled = True
     viewport.budget.measured(LEVELS[0], 10 * viewport.budget.target_ms)
     assert not quality().has_backdrop  # of an unknown back end
     viewport.backend = "cpu"

@@ -46,6 +46,8 @@ FILES = {
     "drive.mp4": (lambda file: written(file, b"\0\0\0\x18ftypmp42" + bytes(99)), VIDEO),
     "car.obj": (lambda file: written(file, b"v 0 0 0\n"), "it is a mesh"),
     "a.jpg": (pictured, PICTURE),
+    "old.bag": (lambda file: written(file, b"#ROSBAG V2.0\n" + bytes(50)), "it is a bag of ROS 1: rosbags-convert"),
+    "metadata.yaml": (lambda file: written(file, b"rosbag2_bagfile_information:\n"), "give its folder"),
     "a.parquet": (lambda file: written(file, b"PAR1" + bytes(50)), "it is a table of a data set"),
 }
 

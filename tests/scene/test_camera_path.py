@@ -1,5 +1,6 @@
 """Camera paths: through their keyframes, by splines or lines, in loops, eased; and their files, ours and others'."""
 
+import base64
 import json
 import struct
 from dataclasses import replace
@@ -253,7 +254,7 @@ def test_axes_of_nerfstudio_are_those_of_opengl(tmp_path: Path) -> None:
         same_view(found.camera(0.0, 600, 400), Camera.from_fov(600, 400, 50.0, np.linalg.inv(pose)))
 
 
-def write_glb_camera(path: Path, interpolation: str = "LINEAR") -> tuple[np.ndarray, Rotation]:
+def write_gltf_camera(path: Path, interpolation: str = "LINEAR", uri: str = "") -> tuple[np.ndarray, Rotation]:
     """A camera that turns on a node that moves, at three moments; returns its places and rotations there."""
     places = np.array([[0, 1, 5], [1, 2, 4], [4, 2, 4]], "<f4")
     turns = Rotation.from_euler("YX", [[0, -20], [30, 0], [50, 10]], degrees=True)
@@ -275,16 +276,21 @@ def write_glb_camera(path: Path, interpolation: str = "LINEAR") -> tuple[np.ndar
         ],
         "buffers": [{"byteLength": ends[-1]}],
     }  # fmt: skip
+    binary = b"".join(column.tobytes() for column in columns)
+    if uri:
+        (path.parent / "of it.bin").write_bytes(binary)
+        document["buffers"][0]["uri"] = uri.format(base64.b64encode(binary).decode())
+        path.write_text(json.dumps(document))
+        return places, turns
     text = json.dumps(document).encode()
     text += b" " * (-len(text) % 4)
-    binary = b"".join(column.tobytes() for column in columns)
     chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
     path.write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks)
     return places, turns
 
 
 def test_a_camera_of_gltf_is_where_the_glb_of_its_scene_has_it(tmp_path: Path) -> None:
-    places, turns = write_glb_camera(tmp_path / "a.glb")
+    places, turns = write_gltf_camera(tmp_path / "a.glb")
     scene = replace(small_scene(), up=(1.0, 0.0, 0.0), metres_per_unit=2.5)
     write_scene(scene, tmp_path / "scene.glb")
     (layer,) = read_scene(tmp_path / "scene.glb").layers
@@ -298,9 +304,14 @@ def test_a_camera_of_gltf_is_where_the_glb_of_its_scene_has_it(tmp_path: Path) -
             found = points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
             np.testing.assert_allclose(found, local * [1, -1, -1], atol=2e-4)
             np.testing.assert_allclose(np.radians(camera.vertical_fov_deg), 0.7)
-    write_glb_camera(tmp_path / "b.glb", "CUBICSPLINE")
-    (tmp_path / "c.gltf").write_text("{}")
-    problems = {"b.glb": "CUBICSPLINE", "scene.glb": "no camera", "c.gltf": "from a .glb", "d.glb": "No such file"}
+    for uri in ("of%20it.bin", "data:application/octet-stream;base64,{}"):
+        write_gltf_camera(tmp_path / "a.gltf", uri=uri)
+        np.testing.assert_array_equal(read_camera_path(tmp_path / "a.gltf").positions, in_file.positions)
+    write_gltf_camera(tmp_path / "b.glb", "CUBICSPLINE")
+    for name, uri in (("c", "../of%20it.bin"), ("e", "none.bin"), ("f", "data:,{}!")):
+        write_gltf_camera(tmp_path / f"{name}.gltf", uri=uri)
+    problems = {"b.glb": "CUBICSPLINE", "scene.glb": "no camera", "d.glb": "No such file", "c.gltf": "next to it",
+                "e.gltf": "can't be read: No such file", "f.gltf": "no base64"}  # fmt: skip
     for file, problem in problems.items():
         with pytest.raises(SceneFormatError, match=problem):
             read_camera_path(tmp_path / file)

@@ -46,7 +46,7 @@ def test_dragging_an_arrow_moves_the_layer_as_one_step(driver):
         editor.viewport.options.member = WALL
         before, steps = driver.picture(), editor.document.history.cursor
         driver.press(imgui.Key.t)
-        assert editor.viewport.options.tool == "Move"
+        assert editor.viewport.options.tool == "Transform"
         driver.frames(3)
         drag_up(driver, arrow_at(driver, np.array([40, 0, 4.5])), 40, lets_go=False)
         assert editor.document.history.cursor == steps
@@ -74,14 +74,14 @@ def test_the_selection_is_dragged_and_escape_takes_it_back(driver):
         upper = means[:, 2] > 4.5
         change_wall(editor, marks=replace(wall.marks, selected=BitMask.of(upper)))
         before, steps = driver.picture(), editor.document.history.cursor
-        use(driver, "Move")
+        use(driver, "Transform")
         handle = arrow_at(driver, np.median(means[upper], axis=0).astype(float))
         drag_up(driver, handle, 30, lets_go=False)
         assert np.abs(driver.picture() - before).max() > 20
         driver.press(imgui.Key.escape)
         release(driver)
         assert editor.document.history.cursor == steps
-        use(driver, "Move")
+        use(driver, "Transform")
         assert np.array_equal(driver.picture(), before)
         drag_up(driver, handle, 30)
         assert editor.document.history.undo_label == "Move the selection"

@@ -15,6 +15,7 @@ from ui.widgets.file_dialogs import (
     ask_where_to_save,
     file_kinds,
     size_text,
+    starting_folder,
 )
 from window_driver import imgui
 
@@ -56,6 +57,14 @@ def test_file_types_and_names():
     assert [size_text(n) for n in (0, 999, 1234, 999_999, 5_430_000, 2 << 40)] == [
         "0 B", "999 B", "1.23 kB", "1 MB", "5.43 MB", "2.2 TB",
     ]  # fmt: skip
+
+
+def test_a_dialog_begins_in_its_last_folder_and_the_first_one_next_to_the_last_scene(folder):
+    last, opened = {"": folder / "more", "Save": folder / "street"}, [folder, folder / "more"]
+    assert starting_folder("Save", last, opened) == folder / "street"
+    assert starting_folder("Open", last, opened) == folder / "more"
+    assert starting_folder("Open", {"": folder / "gone"}, opened) == starting_folder("Open", {}, opened) == folder
+    assert starting_folder("Open", {}, []) == starting_folder("Open", {}, [folder / "gone"]) == Path.cwd()
 
 
 def test_a_folder_is_listed_and_what_is_wrong_with_one_is_a_sentence(folder, tmp_path):

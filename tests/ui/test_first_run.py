@@ -30,7 +30,7 @@ def test_a_file_of_gaussians_becomes_a_rainy_scene_in_four_actions(driver, tmp_p
             assert editor.scene_setup.is_open and editor.scene_setup.axis == "-y"
             driver.tap("//**/###guess")
             assert editor.status.problem is None
-            assert editor.document.history.labels == ["Open", "Guess the orientation"]
+            assert editor.document.history.labels == ["Opened", "Guess the orientation"]
             scene = editor.document.scene
             assert scene.ground_m is not None and np.linalg.norm(scene.up) == pytest.approx(1)
             driver.tap("//**/###rain")

@@ -10,7 +10,6 @@ import pytest
 from PIL import Image
 
 from gsrain_engine.datasets.capture_folder import write_views
-from gsrain_engine.editor import make_rainy
 from gsrain_engine.editor.jobs import make_rainy as make_rainy_job
 from gsrain_engine.editor.jobs.make_rainy import MAKE_RAINY_TITLE
 from gsrain_engine.scene.formats.scene_files import write_scene
@@ -69,14 +68,16 @@ def test_a_view_is_previewed_then_the_scene_made_rainy_compared_and_undone(drive
         driver.until(lambda: job.state != "running" and editor.viewport.staged is None, 1_000_000)
         assert (job.state, job.error) == ("finished", None)
         assert job.report.is_file()
-        assert editor.document.history.labels == ["Open", MAKE_RAINY_TITLE]
+        assert editor.document.history.labels == ["Opened", MAKE_RAINY_TITLE]
         assert all(each.wet_sh is not None for each in editor.document.scene.members)
 
-        # Beside the clear scene, in rain that a step of its own brings.
+        # Beside the clear scene, once it rains: without rain there is nothing to compare, and none is added.
+        driver.click(f"{PANEL}###compare")
+        assert editor.viewport.options.split == "off" and editor.document.rain.intensity_mm_h == 0
+        editor.document.change_rain("Intensity", intensity_mm_h=8.5)
         with driver.journey(1):
             driver.tap(f"{PANEL}###compare")
         assert editor.viewport.options.split == "clear | rainy"
-        assert editor.document.rain.intensity_mm_h == make_rainy.COMPARED_MM_H
         compared = driver.picture()
         middle = compared.shape[1] // 2
         assert np.array_equal(compared[:, : middle - 1], clear[:, : middle - 1])
@@ -197,7 +198,7 @@ def test_a_capture_becomes_a_scene_that_takes_on_the_look_of_pictures(drive, dri
         assert driver.ctx.item_exists("//Capture/Reconstruct/Reconstruct")
         driver.until(lambda: ended(job), 1_000_000)
         assert (job.state, job.error) == ("finished", None)
-        assert editor.document.history.labels == ["Open", "Reconstruct drive"]
+        assert editor.document.history.labels == ["Opened", "Reconstruct drive"]
         assert {layer.kind for layer in editor.document.scene.layers} == {"background", "sky"}
         assert job.report.is_file()
 
@@ -254,7 +255,7 @@ def test_a_clip_is_recorded_while_the_window_goes_on(driver, tmp_path, monkeypat
             driver.stroke(driver.at(0.5, 0.4), driver.at(0.54, 0.4), driver.at(0.56, 0.42), button=1)
             driver.press(imgui.Key.k)
             driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.r))
-            driver.choose_file("Record the timeline", target)
+            driver.choose_file("Record timeline", target)
         driver.until(lambda: len(editor.jobs.all) == 1)
         job = editor.jobs.all[0]
         driver.ctx.window_focus("//Jobs")
@@ -273,12 +274,12 @@ def test_a_clip_is_recorded_while_the_window_goes_on(driver, tmp_path, monkeypat
         assert editor.viewport.job_previews == {}
         driver.ctx.window_focus("//View")
         driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.r))
-        driver.choose_file("Record the timeline", target)
+        driver.choose_file("Record timeline", target)
         assert editor.status.question.text == "clip.mp4 is there already."
         driver.tap("//Replace?/Cancel")
         assert (editor.status.question, len(editor.jobs.all)) == (None, 1)
         driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.r))
-        driver.choose_file("Record the timeline", tmp_path / "other.mp4")
+        driver.choose_file("Record timeline", tmp_path / "other.mp4")
         driver.until(lambda: len(editor.jobs.running) == 1)
         driver.frames(3)
 

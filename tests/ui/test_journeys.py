@@ -1,7 +1,8 @@
 """Journeys through the window, each in the number of actions that it states, on small and large screens of two scales.
 
 An action is a click, a double click, a drag, a key with those held meanwhile, or a typed value with Enter. By default
-they are played on the smallest screen and on the one with the most pixels; on all four with GSRAIN_JOURNEYS=all.
+all are played on the smallest screen, and those that depend on sizes and places on the one with the most pixels; all on
+all four with GSRAIN_JOURNEYS=all.
 """
 
 import os
@@ -30,7 +31,7 @@ SCREENS = {
 }  # fmt: skip
 """Size of the window in units of the interface, and pixels per unit."""
 
-PLAYED_ON = list(SCREENS) if os.environ.get("GSRAIN_JOURNEYS") == "all" else ["800x560", "2560x1440 at DPI 2"]
+SMALLEST, LARGEST = "800x560", "2560x1440 at DPI 2"
 
 
 @dataclass(frozen=True)
@@ -42,17 +43,19 @@ class Journey:
     actions: int
     folded_actions: int
     """With the panels folded to a strip, as in a small window."""
+    depends_on_size: bool
+    """True if it drags over the picture, or needs room for a dialog or a list."""
 
 
 JOURNEYS: list[Journey] = []
 
 
-def journey(actions: int, *, folded: int | None = None):
+def journey(actions: int, *, folded: int | None = None, depends_on_size: bool = False):
     """Add a journey with the number of its actions."""
 
     def add(play: Callable[[Driver], None]) -> Callable[[Driver], None]:
         name = play.__name__.replace("_", " ")
-        JOURNEYS.append(Journey(name, play, actions, actions if folded is None else folded))
+        JOURNEYS.append(Journey(name, play, actions, actions if folded is None else folded, depends_on_size))
         return play
 
     return add
@@ -87,7 +90,7 @@ def quit_with_changes_cancelled(driver):
     assert rain_mm_h(driver) == 8.5 and editor.files.has_changes and not editor.should_quit
 
 
-@journey(2)
+@journey(2, depends_on_size=True)
 def open_a_scene(driver):
     editor = driver.editor
     editor.files.close_scene()
@@ -185,7 +188,7 @@ def rain_measured_by_a_disdrometer(driver):
 # Select, change, undo
 
 
-@journey(4)
+@journey(4, depends_on_size=True)
 def a_brushed_part_deleted_and_undone(driver):
     document = driver.editor.document
     before = document.scene.gaussian_count
@@ -208,7 +211,7 @@ def a_part_moved_to_a_layer_of_its_own(driver):
     assert len(now.layers) == len(scene.layers) + 1 and now.gaussian_count == scene.gaussian_count
 
 
-@journey(3, folded=5)
+@journey(3, folded=5, depends_on_size=True)
 def a_layer_moved(driver):
     document, folded = driver.editor.document, driver.window.workspace.folded
     driver.tap(f"{driver.panel('Layers')}members/###layers wall")
@@ -253,7 +256,7 @@ def an_earlier_step_gone_to(driver):
 # Look
 
 
-@journey(3)
+@journey(3, depends_on_size=True)
 def clear_and_rainy_compared(driver):
     options = driver.editor.viewport.options
     driver.editor.document.change_rain("Intensity", intensity_mm_h=8.5)
@@ -262,7 +265,7 @@ def clear_and_rainy_compared(driver):
     assert options.split == "clear | rainy" and options.divider < 0.49
 
 
-@journey(4, folded=5)
+@journey(4, folded=5, depends_on_size=True)
 def a_flight_of_ten_seconds(driver):
     editor = driver.editor
     key(driver, KEY.k)
@@ -273,7 +276,7 @@ def a_flight_of_ten_seconds(driver):
     assert editor.render_queue.extent().length_s == pytest.approx(10, abs=0.05)
 
 
-@journey(3, folded=3)
+@journey(3, folded=3, depends_on_size=True)
 def the_light_theme(driver):
     driver.choose(f"{driver.panel('Display')}##theme", "light")
     assert driver.editor.preferences.value.theme == "light"
@@ -315,6 +318,13 @@ def begin(driver):
     driver.frames(3)
 
 
+def journeys_on(screen):
+    """Journeys that are played on a screen."""
+    if screen == SMALLEST or os.environ.get("GSRAIN_JOURNEYS") == "all":
+        return JOURNEYS
+    return [each for each in JOURNEYS if each.depends_on_size and screen == LARGEST]
+
+
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
     """Folder with a scene folder, a file of Gaussians and a disdrometer file."""
@@ -339,7 +349,8 @@ def played(request, files, tmp_path_factory):
 
     def script():
         is_folded = bool(driver.window.workspace.folded.hidden)
-        for number, each in enumerate(JOURNEYS):
+        journeys = journeys_on(request.param)
+        for number, each in enumerate(journeys):
             try:
                 begin(driver)
                 with driver.journey(each.folded_actions if is_folded else each.actions):
@@ -347,7 +358,7 @@ def played(request, files, tmp_path_factory):
             except Exception as error:  # each is raised in the test of its journey
                 errors[each.name] = error
             if driver.ctx.is_error():  # an item was not there: see the engine's log, which plays no more
-                for after in JOURNEYS[number:]:
+                for after in journeys[number:]:
                     errors.setdefault(after.name, AssertionError(f"the test engine gave up in {each.name!r}"))
                 return
 
@@ -361,7 +372,7 @@ def played(request, files, tmp_path_factory):
     return errors
 
 
-PLAYED = [(screen, each.name) for screen in PLAYED_ON for each in JOURNEYS]
+PLAYED = [(screen, each.name) for screen in SCREENS for each in journeys_on(screen)]
 
 
 @pytest.mark.parametrize(("played", "name"), PLAYED, indirect=["played"], scope="module")

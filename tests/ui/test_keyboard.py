@@ -86,7 +86,7 @@ def test_menus_and_lists_are_used_by_the_keyboard(driver):
             driver.press(key)
         driver.press(KEY.enter)
         driver.frames(3)
-        assert options.show_selection != was_on and document.history.labels == ["Open", "Haze", "Haze"]
+        assert options.show_selection != was_on and document.history.labels == ["Opened", "Haze model", "Haze model"]
         driver.click_at(view_menu)
         driver.press(KEY.k)  # alone, it inserts a keyframe
         driver.press(KEY.escape)
@@ -97,7 +97,7 @@ def test_menus_and_lists_are_used_by_the_keyboard(driver):
 
 def test_alt_and_a_letter_opens_a_menu(driver):
     def script():
-        for chord, command in ((KEY.f10, "Open..."), (int(KEY.mod_alt) | int(KEY.v), "Frame the scene")):
+        for chord, command in ((KEY.f10, "Open..."), (int(KEY.mod_alt) | int(KEY.v), "Frame selection or scene")):
             driver.press(chord)
             driver.frames(3)
             assert driver.ctx.item_exists(f"//$FOCUSED/{command}")

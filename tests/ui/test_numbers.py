@@ -15,7 +15,7 @@ def test_a_number_is_typed_after_a_double_click_and_limited_with_its_bound_on_th
     def script():
         driver.drag(FIELD, (40, 0))
         dragged = document.rain.intensity_mm_h
-        assert dragged > 1 and document.history.labels == ["Open", "Intensity"]
+        assert dragged > 1 and document.history.labels == ["Opened", "Intensity"]
         driver.click(FIELD)
         assert document.rain.intensity_mm_h == dragged  # a click is none of a drag: the value stays
         driver.ctx.item_double_click(FIELD)
@@ -32,7 +32,7 @@ def test_a_number_is_typed_after_a_double_click_and_limited_with_its_bound_on_th
         x, y = (low + [0, size[1]]).astype(int)
         red = (driver.screen() - before)[y + 3 : y + 12, x + 2 : x + 5].mean(axis=(0, 1))
         assert red[0] > 100 > red[2]  # the card with "max 149 mm/h"
-        assert document.history.labels == ["Open", "Intensity", "Intensity", "Intensity"]
+        assert document.history.labels == ["Opened", "Intensity", "Intensity", "Intensity"]
         steps = document.history.steps
         assert steps[2].document.rain_change(steps[3].document) == "40 -> 149 mm/h"
         driver.ctx.item_click(FIELD, 1)
@@ -57,7 +57,7 @@ def test_the_needle_of_the_compass_is_dragged_and_turned_by_keys(driver):
         driver.stroke(center + [0, -0.3 * reach], center + [0.3 * reach, 0], center + [0.4 * reach, 0])
         from_deg, speed_m_s = wind()
         assert from_deg == pytest.approx(90, abs=2) and 8 < speed_m_s < 13
-        assert document.history.labels == ["Open", "Wind"]
+        assert document.history.labels == ["Opened", "Wind"]
         driver.press(KEY.right_arrow)
         driver.press(KEY.up_arrow)
         assert wind() == (from_deg + 5, pytest.approx(speed_m_s + 0.5)) and clock.time_s == 0

@@ -151,13 +151,13 @@ def test_a_range_dragged_over_the_histogram_selects(hand):
         hand.ctx.combo_click("##attribute/height (m)")
         hand.frames()
         assert options.attribute == "height" and options.range is None
-        hand.click("//Select/Set##range")  # all of it
+        hand.click("//Select/Replace##range")  # all of it
         assert selected_count(hand.editor.document.scene) == 944
         corner, size = hand.area("//Select/##attribute plot")
         hand.stroke(corner + size * [0.3, 0.5], corner + size * [0.6, 0.5])
         low, high = options.range
         assert 20 < low < 60 < high < 110  # m; the sky reaches up to 150
-        hand.click("//Select/Set##range")
+        hand.click("//Select/Replace##range")
         heights = hand.editor.document.scene.layers[2].gaussians.means[:, 2]
         assert hand.counts() == {"road": 0, "wall": 0, "sky": int(((heights >= low) & (heights <= high)).sum())}
         assert hand.step == f"Select {hand.counts()['sky']} by height"

@@ -53,7 +53,7 @@ def test_keys_are_added_scrubbed_moved_copied_deleted_and_undone(driver, flight)
     def script():
         path = flight()
         assert path.times_s.tolist() == [0, 1, 2, 4]
-        assert document.history.labels[1:] == ["Insert keyframe"] * 4
+        assert document.history.labels[1:] == ["Insert camera keyframe"] * 4
         by_hand = editor.viewport.navigation.position.copy()
 
         # A click on a key looks through it.
@@ -223,7 +223,7 @@ def test_haze_has_a_form_and_maybe_a_region(driver):
 
     def script():
         document, saved = editor.document, editor.document.state
-        (command,) = [each for each in COMMANDS if each.name == "Draw haze"]
+        (command,) = [each for each in COMMANDS if each.name == "Haze"]
         assert document.rain.haze == "medium" and command.is_on(document)
         document.change_rain("Intensity", intensity_mm_h=80.0)
         driver.until(lambda: "drops drawn" in editor.viewport.statistics)
@@ -281,7 +281,7 @@ def test_the_drop_color_is_picked_from_the_view(driver):
         driver.until(lambda: editor.viewport.sky_pick is None and editor.document.rain.drop_color != picked, 200)
         driver.frames()
         assert editor.document.rain.drop_color[2] > editor.document.rain.drop_color[0] + 0.05
-        driver.click("//Rain/from the sky")
+        driver.click("//Rain/From sky")
         assert editor.document.rain.drop_color is None
 
     driver.run(script)

@@ -88,7 +88,7 @@ def test_files_open_by_drop_and_bad_ones_are_reported(driver, tmp_path):
         driver.frames(3)
         driver.window.drop([str(photograph)])
         driver.until(lambda: driver.editor.status.question is not None)
-        assert driver.editor.status.question.title == "Open a capture"
+        assert driver.editor.status.question.title == "Open capture"
         driver.press(imgui.Key.escape)
 
     driver.run(script)

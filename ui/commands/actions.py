@@ -79,7 +79,7 @@ def duplicate_member(document: Document, viewport: ViewportState) -> None:
 
 def loop_path(document: Document, camera_path: CameraPathEditor) -> None:
     if (path := document.scene.path) is not None:
-        camera_path.change_path("Loop off" if path.loop else "Loop on", loop=not path.loop)
+        camera_path.change_path("Closed path off" if path.loop else "Closed path on", loop=not path.loop)
 
 
 def copy_keyframe(camera_path: CameraPathEditor, rain_tracks: RainTracks) -> None:

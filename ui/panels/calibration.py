@@ -42,7 +42,7 @@ def _choose(document: Document, calibration: CalibrationTools) -> None:
     present = document.rain.calibration
     calibration.add_file(present)
     choices = {each: Path(each).stem for each in calibration.calibrations}
-    plain_label("Calibration", "Source of the drops' number, sizes and fall speeds.")
+    plain_label("Rain calibration", "Source of the drops' number, sizes and fall speeds.")
     if (picked := combo("##calibration", present, choices)) != present:
         calibration.use(picked)
     plain_label("Compare with", "A calibration to compare with.")

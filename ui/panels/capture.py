@@ -30,9 +30,9 @@ def capture_panel(editor: Editor) -> None:
         imgui.progress_bar(-imgui.get_time(), (-1, 0), captures.busy)
     if (capture := captures.capture) is None:
         imgui.text_wrapped("Recorded images, cameras and points to compare the scene with.")
-        if button("Open a capture...", help_of("Open a capture..."), width=-1):
+        if button("Open capture folder...", help_of("Open capture folder..."), width=-1):
             ask_for_capture_folder(captures)
-        if button("Open a capture file...", help_of("Open a capture file..."), width=-1):
+        if button("Open capture file...", help_of("Open capture file..."), width=-1):
             ask_for_capture_file(captures)
         return
     _head(captures, capture)
@@ -52,11 +52,11 @@ def capture_panel(editor: Editor) -> None:
 
 
 def ask_for_capture_folder(captures: CaptureController) -> None:
-    ask_what_to_open("Open a capture (folder)", "", lambda chosen: captures.open(chosen[0]))
+    ask_what_to_open("Open capture folder", "", lambda chosen: captures.open(chosen[0]))
 
 
 def ask_for_capture_file(captures: CaptureController) -> None:
-    ask_what_to_open("Open a capture (file)", _FILES, lambda chosen: captures.open(chosen[0]))
+    ask_what_to_open("Open capture file", _FILES, lambda chosen: captures.open(chosen[0]))
 
 
 def _head(captures: CaptureController, capture: Capture) -> None:
@@ -195,7 +195,7 @@ _MODES: dict[Mode, str] = {"picture": "that view, warped", "difference": "differ
 def matching_fields(matching: MatchingController) -> None:
     matching.is_on = checkbox(
         "Show matches", matching.is_on,
-        "Find each pixel in another view, by its depth (eq. 13-15): for the recorded view at whose pose the camera "
+        "Find each pixel in another view, by its depth: for the recorded view at whose pose the camera "
         "is,\nelse for the live view of a scene that was made from the capture (Shift+M).",
     )  # fmt: skip
     with disabled(not matching.is_on):

@@ -24,7 +24,10 @@ def display_panel(viewport: ViewportState, preferences: PreferencesStore) -> Non
     view.gain_ev = number("Display gain (EV)", "gain", view.gain_ev, -3, 3, "%.1f", help_text)
     plain_label("Resolution", "Draw fewer pixels while tuning; the rain has the same drops.")
     view.shrink = combo("##resolution", view.shrink, _SHRINKS)
-    plain_label("Colors on the GPU", "Fewer bits take less memory and, in large scenes, less time per frame.")
+    plain_label(
+        "Color precision",
+        "Of colors on the GPU: fewer bits take less memory and, in large scenes, less time per frame.",
+    )
     with disabled(not viewport.backend.startswith("opengl")):
         view.harmonics = combo("##harmonics", view.harmonics, _STORAGES)
     plain_label("While moving", "Draw less while the camera moves or rain plays, to hold this time; exact at rest.")
@@ -33,7 +36,9 @@ def display_panel(viewport: ViewportState, preferences: PreferencesStore) -> Non
     imgui.set_next_item_width(-1)
     with disabled(not budget.enabled):
         _, budget.target_ms = slide("##target_ms", budget.target_ms, 10, 200, "%.0f ms per frame", unit="ms")
-    fov = number("Field of view", "fov", navigation.vertical_fov_deg, 15, 110, "%.0f\u00b0", "Vertical, in degrees.")
+    fov = number(
+        "Vertical FOV (deg)", "fov", navigation.vertical_fov_deg, 15, 110, "%.0f\u00b0", "Vertical field of view."
+    )
     navigation.vertical_fov_deg = fov
     imgui.separator_text("Window")
     if (changed := edit_field(preferences.value, "theme")) is not preferences.value:
@@ -59,7 +64,11 @@ def statistics_panel(viewport: ViewportState) -> None:
     else:
         imgui.text_colored(WARNING, f"while something moves: {viewport.detail}")
     rows = [
-        (name.replace(" ms", " (ms)"), f"{value:,.{0 if float(value).is_integer() else 2}f}", "Of the last frame.")
+        (
+            f"{name[0].upper()}{name[1:]}".replace(" ms", " (ms)"),
+            f"{value:,.{0 if float(value).is_integer() else 2}f}",
+            "Of the last frame.",
+        )
         for name, value in viewport.statistics.items()
     ]
     readings("statistics", rows)

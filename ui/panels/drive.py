@@ -46,7 +46,7 @@ _HELP = (
     "The roll-out opens when it is finished; the scene does not change."
 )
 _AGENT_HELP = "\n".join(f"{name} {agent.help}." for name, agent in SHIPPED_AGENTS.items()) + (
-    "\nInstalled packages add their own (entry points gsrain.agents)."
+    "\nInstalled packages can add their own."
 )
 _CHASE_HELP: dict[ChaseMode, str] = {
     "behind": "8 m behind the ego vehicle and 3 m above it; a drag looks around, another click returns.",
@@ -58,7 +58,7 @@ _CHASE_HELP: dict[ChaseMode, str] = {
 def drive_panel(document: Document, viewport: ViewportState, rollouts: RolloutPlayer, jobs: JobRunner) -> None:
     setup = rollouts.setup
     _scenario_choice(rollouts)
-    if imgui.tree_node("Change the scenario"):
+    if imgui.tree_node("Change scenario"):
         _scenario_fields(setup)
         imgui.tree_pop()
     _agent_fields(setup)
@@ -82,12 +82,12 @@ def drive_panel(document: Document, viewport: ViewportState, rollouts: RolloutPl
 
 
 def ask_for_scenario(rollouts: RolloutPlayer) -> None:
-    ask_what_to_open("Open a scenario", _SCENARIOS, lambda chosen: rollouts.setup.load(chosen[0]))
+    ask_what_to_open("Open scenario", _SCENARIOS, lambda chosen: rollouts.setup.load(chosen[0]))
 
 
 def ask_where_to_save_scenario(setup: DriveSetup) -> None:
     kinds, name = "Scenario{.yaml}", "scenario.yaml"
-    ask_where_to_save("Save the scenario", kinds, lambda chosen: setup.save(chosen[0]), proposed=name)
+    ask_where_to_save("Save scenario", kinds, lambda chosen: setup.save(chosen[0]), proposed=name)
 
 
 def ask_for_rollout(rollouts: RolloutPlayer) -> None:
@@ -95,19 +95,19 @@ def ask_for_rollout(rollouts: RolloutPlayer) -> None:
         for path in chosen:
             rollouts.open(path)
 
-    ask_what_to_open("Open a roll-out", f"{_ROLLOUTS},{ALL_FILES}", take, several=True)
+    ask_what_to_open("Open roll-out", f"{_ROLLOUTS},{ALL_FILES}", take, several=True)
 
 
 def ask_where_to_save_rollout(rollouts: RolloutPlayer) -> None:
     save = rollouts.save_as
     ask_where_to_save(
-        "Save the roll-out", _ROLLOUTS, lambda chosen: save(chosen[0]), proposed="drive.jsonl", confirms=False
+        "Save roll-out", _ROLLOUTS, lambda chosen: save(chosen[0]), proposed="drive.jsonl", confirms=False
     )
 
 
 def ask_where_to_render_drive(rollouts: RolloutPlayer) -> None:
     kinds = "MP4{.mp4},WebM{.webm}"
-    render, title = rollouts.video_to, "Render video of the drive"
+    render, title = rollouts.video_to, "Render drive video"
     ask_where_to_save(title, kinds, lambda chosen: render(chosen[0]), proposed="drive.mp4", confirms=False)
 
 
@@ -119,7 +119,7 @@ def _start(viewport: ViewportState, rollouts: RolloutPlayer, jobs: JobRunner) ->
     why_not = rollouts.why_not
     imgui.spacing()
     height = 1.5 * imgui.get_frame_height()
-    if button(f"{_ICONS.ICON_FA_CAR_SIDE}  Drive###drive", _HELP, width=-1, height=height, why_not=why_not):
+    if button(f"{_ICONS.ICON_FA_CAR_SIDE}  Run drive###drive", _HELP, width=-1, height=height, why_not=why_not):
         rollouts.start()
     if why_not is not None:
         warn(why_not)
@@ -144,7 +144,7 @@ def _scenario_choice(rollouts: RolloutPlayer) -> None:
     imgui.same_line()
     if square_button(_ICONS.ICON_FA_FOLDER_OPEN, "open scenario"):
         ask_for_scenario(rollouts)
-    imgui.set_item_tooltip(help_of("Open a scenario..."))
+    imgui.set_item_tooltip(help_of("Open scenario..."))
 
 
 def _agent_fields(setup: DriveSetup) -> None:
@@ -175,16 +175,16 @@ def _text(setup: DriveSetup, name: str, hint: str) -> None:
 
 def _rollouts(viewport: ViewportState, rollouts: RolloutPlayer) -> None:
     third = share_of_width(3)
-    help_text = "Open a finished drive (JSON lines), such as `gsrain drive` writes; or drop it here."
+    help_text = "Open a finished drive (JSON lines or Parquet), or drop it on the window."
     if button(f"{_ICONS.ICON_FA_FOLDER_OPEN}  Open...###open roll-out", help_text, width=third):
         ask_for_rollout(rollouts)
     imgui.same_line()
     title = f"{_ICONS.ICON_FA_FLOPPY_DISK}  Save as...###save roll-out"
-    if button(title, help_of("Save the roll-out..."), width=third, enabled=rollouts.playing is not None):
+    if button(title, help_of("Save roll-out as..."), width=third, enabled=rollouts.playing is not None):
         ask_where_to_save_rollout(rollouts)
     imgui.same_line()
     title, why_not = f"{_ICONS.ICON_FA_FILM}  Video...###film roll-out", rollouts.why_no_video
-    if button(title, help_of("Render video of the drive..."), width=third, why_not=why_not):
+    if button(title, help_of("Render drive video..."), width=third, why_not=why_not):
         ask_where_to_render_drive(rollouts)
     if not rollouts.opened:
         imgui.text_wrapped("None is open. Drive, or open a finished drive, to play it in the viewport and timeline.")
@@ -246,8 +246,10 @@ def _jumps(rollouts: RolloutPlayer) -> None:
     if (playing := rollouts.playing) is None:
         return
     hit, critical = playing.collision_s, playing.curves.min_ttc_time_s
-    why_not = "No collision." if hit is None else None
-    help_text = f"Go to {hit or 0:.2f} s, the collision with {playing.metrics.collided_with}."
+    why_not = "There is none." if hit is None else None
+    help_text = "Go to the time of the collision."
+    if hit is not None:
+        help_text = f"Go to {hit:.2f} s, the collision with {playing.metrics.collided_with}."
     title = f"{_ICONS.ICON_FA_CAR_BURST}  Collision###collision"
     if button(title, help_text, width=half, why_not=why_not) and hit is not None:
         rollouts.jump(hit)
@@ -278,17 +280,17 @@ def _scenario_fields(setup: DriveSetup) -> None:
             setup.change_user(number, _user(user))
             imgui.tree_pop()
         imgui.pop_id()
-    if imgui.tree_node("Controller"):
+    if imgui.tree_node("Path tracking"):
         controller = _all_fields(setup.scenario.controller)
         setup.change(msgspec.structs.replace(setup.scenario, controller=controller))
         imgui.tree_pop()
-    title = f"{_ICONS.ICON_FA_FLOPPY_DISK}  Save the scenario...###save scenario"
-    if button(title, "Write YAML for `gsrain drive` and this panel.", width=-1):
+    title = f"{_ICONS.ICON_FA_FLOPPY_DISK}  Save scenario...###save scenario"
+    if button(title, help_of("Save scenario..."), width=-1):
         ask_where_to_save_scenario(setup)
 
 
 def _user(user: ScenarioUser) -> ScenarioUser:
-    name = Path(user.model).name if Path(user.model).is_absolute() else user.model
+    name = Path(user.model).name if Path(user.model).is_absolute() else user.model.replace("saloon", "sedan")
     imgui.text_disabled(f"{name}, {user.class_name}")
     imgui.set_item_tooltip(f"Its model ({user.model}) and class; set in the scenario's file.")
     for name in _USER:

@@ -15,7 +15,7 @@ from gsrain_engine.editor.timeline import Playback
 from gsrain_engine.scene.scene import RigCamera
 from gsrain_engine.simulation.metrics.summary import DriveMetrics
 
-from ..widgets.draw import OUTLINE, PLAYHEAD, color, draw_image
+from ..widgets.draw import OUTLINE, PLAYHEAD, color, draw_image, on_screen_px
 from ..widgets.fields import combo
 
 _WIDE = 1.6  # aspect ratio from which the plots are side by side
@@ -84,7 +84,9 @@ def _plot(
         _axes(rollouts.opened, plot)
         for opened, hue in zip(rollouts.opened, curve_colors(rollouts.opened), strict=True):
             _curve(opened, plot, hue, is_playing=opened is playing)
-        implot.plot_inf_lines("now", np.array([now_s]), spec=implot.Spec(line_color=PLAYHEAD, line_weight=1.5))
+        implot.plot_inf_lines(
+            "now", np.array([now_s]), spec=implot.Spec(line_color=PLAYHEAD, line_weight=on_screen_px(1.5))
+        )
         if implot.is_plot_hovered() and imgui.is_mouse_down(imgui.MouseButton_.left):
             rollouts.seek(float(np.clip(implot.get_plot_mouse_pos().x, 0.0, playing.duration_s)))
         implot.end_plot()

@@ -55,7 +55,8 @@ def edit_panel(
     member = next((each for each in document.scene.members if each.key == viewport.options.member), None)
     if member is None:
         imgui.separator_text("Layer")
-        imgui.text_disabled("Select a layer or an actor in Layers.")
+        with text_color(imgui.Col_.text_disabled):
+            imgui.text_wrapped("Select a layer or an actor in Layers.")
     else:
         _member(document, viewport, playback, member)
     if imgui.collapsing_header("Floaters", _OPEN):
@@ -71,15 +72,15 @@ def _selection(document: Document) -> None:
         document.edit(f"Delete {count:,} selected", gaussians.delete_selected)
     imgui.same_line()
     if button("Hide", "Do not draw the selection (H).", width=half, enabled=count > 0):
-        document.edit("Hide the selection", gaussians.hide_selected)
+        document.edit("Hide selection", gaussians.hide_selected)
     help_text = "Hide everything else; locked layers are not changed (Shift+I)."
     if button("Isolate", help_text, width=half, enabled=count > 0):
-        document.edit("Isolate the selection", gaussians.isolate_selected)
+        document.edit("Isolate selection", gaussians.isolate_selected)
     imgui.same_line()
     if button("Show all", "Draw all hidden Gaussians (Shift+H).", width=half, enabled=has_hidden):
         document.edit("Show all", gaussians.show_all)
     help_text = (
-        "Remove deleted Gaussians from the arrays; files get smaller. Frames hardly get faster, since deleted\n"
+        "Remove deleted Gaussians from memory; files get smaller. Frames hardly get faster, since deleted\n"
         "Gaussians are not drawn. Undo restores them."
     )
     if deleted and button(f"Purge {deleted:,} deleted", help_text, width=-1):
@@ -101,7 +102,7 @@ def _member(document: Document, viewport: ViewportState, playback: Playback, mem
 
 # Floater cleanup
 
-_RANGES = {"opacity_below": (1.0, "%.3g"), "size_above_m": (20.0, "%.3g"), "isolation_above": (50.0, "%.3g x median")}
+_RANGES = {"opacity_below": (1.0, "%.3g"), "size_above_m": (20.0, "%.3g"), "isolation_above": (50.0, "%.3g")}
 """Upper bound and number format of each slider."""
 
 
@@ -148,7 +149,7 @@ def _place_fields(document: Document, playback: Playback, member: Layer | Actor)
     plain_label("Position (m)", f"x, y, z in the world, {origin}.")
     moved, (x, y, z) = imgui.drag_float3("##position", list(pose.position_m), 0.02, -1e6, 1e6, "%.2f")
     place(moved, replace(pose, position_m=(x, y, z)))
-    plain_label("Rotation (\u00b0)", f"In degrees about the world's x, then y, then z, {origin}.")
+    plain_label("Rotation (deg)", f"In degrees about the world's x, then y, then z, {origin}.")
     turned, (x, y, z) = imgui.drag_float3("##turn", list(pose.turn_deg), 0.25, -360, 360, "%.1f")
     place(turned, replace(pose, turn_deg=(x, y, z)))
     plain_label("Scale", "Factor of size, equal along all axes.")
@@ -201,7 +202,7 @@ def history_panel(document: Document, files: Files, status: StatusBus) -> None:
         with text_color(imgui.Col_.text_disabled if number > history.cursor else imgui.Col_.text):
             if imgui.selectable(label(step, str(number)), number == history.cursor)[0]:
                 chosen = number
-        imgui.set_item_tooltip("Go to this step." if number != history.cursor else "The present document.")
+        imgui.set_item_tooltip("Go to this step." if number != history.cursor else "The present state.")
         if number == history.cursor != _State.scrolled_to:
             imgui.set_scroll_here_y(0.8)
         if number and (change := history.steps[number - 1].document.rain_change(history.steps[number].document)):

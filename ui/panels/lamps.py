@@ -52,7 +52,7 @@ def _choice(document: Document, status: StatusBus) -> None:
     titles = [_TITLES.get(each) or Path(each or "").name for each in names]
     changed, at = combo_box("##lamps", names.index(own), titles)
     if changed:
-        document.change_rain("Lamps", lamps=names[at])
+        document.change_rain("Light sources", lamps=names[at])
     imgui.same_line()
     if fields.square_button(icons_fontawesome_6.ICON_FA_FOLDER_OPEN, "choose lamps"):
         kinds = "Lamps{.json,.yaml,.yml}"
@@ -67,7 +67,7 @@ def _use(document: Document, status: StatusBus, path: Path) -> None:
     except (ValueError, OSError) as error:
         status.report(error)
     else:
-        document.change_rain("Lamps", lamps=str(path))
+        document.change_rain("Light sources", lamps=str(path))
 
 
 # Lamps of the scene

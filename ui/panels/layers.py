@@ -89,7 +89,10 @@ def _row(document: Document, viewport: ViewportState, member: Layer | Actor) -> 
         _name(document, viewport, member)
     imgui.table_next_column()
     deleted = member.marks.deleted.size if member.marks.deleted is not None else 0
-    imgui.text_disabled(f"{len(member.gaussians) - deleted:,}")
+    words = f"{len(member.gaussians) - deleted:,}"
+    room = imgui.get_content_region_avail().x - imgui.calc_text_size(words).x
+    imgui.set_cursor_pos_x(imgui.get_cursor_pos_x() + max(room, 0.0))
+    imgui.text_disabled(words)
     if deleted:
         imgui.set_item_tooltip(f"{deleted:,} more are deleted; they stay in the scene folder for undo.")
 
@@ -186,15 +189,15 @@ def _buttons(document: Document, chosen: Layer | Actor | None) -> None:
     marked = [key for key in _state.marked if key.startswith("layers/")]
     is_selected = any(each.marks.selected for each in document.scene.members)
     half, is_free = share_of_width(2), chosen is not None and not chosen.locked
-    help_text = "Copy it under a new name; the copy shares the arrays."
+    help_text = "Copy the chosen layer or actor under a new name; the copy takes no more memory."
     if button("Duplicate", help_text, width=half, enabled=chosen is not None) and chosen is not None:
         document.edit(f"Duplicate {chosen.name}", layers.duplicate, chosen.key)
     imgui.same_line()
-    help_text = "Remove it from the scene; undo restores it."
+    help_text = "Remove the chosen layer or actor from the scene; undo restores it."
     if button("Remove", help_text, width=half, enabled=is_free) and chosen is not None:
         document.edit(f"Remove {chosen.name}", layers.remove, chosen.key)
     if button("Separate", "Move the selection to a new layer.", width=half, enabled=is_selected):
-        document.edit("Separate the selection", layers.separate)
+        document.edit("Separate selection", layers.separate)
     imgui.same_line()
     help_text = "Join the marked layers (Ctrl+click) into the first one."
     if button("Merge", help_text, width=half, enabled=len(marked) > 1):

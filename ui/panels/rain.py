@@ -35,6 +35,7 @@ from ..widgets.fields import (
     keyframe_button,
     keyframe_button_width,
     keyframed_slider,
+    same_line_if_fits,
     share_of_width,
     tint_keyframed,
     warn,
@@ -47,13 +48,13 @@ from .glass import glass_fields
 from .lamps import lamp_fields
 
 _PRESETS = {
-    "clear": "No rain", "1.2": "Light 1.2", "5": "Moderate 5", "8.5": "Paper 8.5", "12.0": "Heavy 12",
-    "paper": "Paper settings",
+    "clear": "No rain", "1.2": "Light 1.2 mm/h", "5": "Moderate 5 mm/h", "8.5": "Paper 8.5 mm/h",
+    "12.0": "Heavy 12 mm/h", "paper": "Paper settings",
 }  # fmt: skip
 """Titles of the shipped presets, and of one between them."""
 
-_PRESETS_PER_ROW = 3
-PICK_TOOL = "Pick sky color"
+_PRESETS_PER_ROW = 2
+PICK_TOOL = "Pick drop color"
 _WIND = "Wind and seed"
 _WIND_FIELDS = ("wind_speed_m_s", "wind_from_deg", "wind_m_s")
 GROUPS = (_WIND, "Glass", "Regions", "Physics", "Camera", "Lamps", "Appearance")
@@ -69,14 +70,7 @@ def rain_panel(
     _presets(document)
     _intensity(document, viewport, playback, live_rain)
     _exposure(document, viewport, playback)
-    fields.toggle(document, "streaks")
-    imgui.same_line()
-    fields.toggle(document, "roofs")
-    imgui.same_line()
-    fields.toggle(document, "mirror")
-    fields.toggle(document, "splashes")
-    imgui.same_line()
-    fields.toggle(document, "spray")
+    fields.toggles(document, "streaks", "roofs", "mirror", "splashes", "spray")
     fields.choice(document, "haze")
     fields.rain_field(document, "visibility_m")
     _drop_color(document, viewport, live_rain)
@@ -106,12 +100,12 @@ def rain_panel(
                     fields.rain_field(document, each.name)
 
 
-def wetness_fields(document: Document, live_rain: LiveRain, beside_px: float = 0.0) -> None:
-    """Edit the wetness; `beside_px` stays free."""
+def wetness_fields(document: Document, live_rain: LiveRain, beside_px: float = 0.0, *, label: str = "") -> None:
+    """Edit the wetness; `beside_px` stays free, and `label` replaces the field's own."""
     own, now = document.rain_now.wetness, live_rain.wetness_now
     has_colors = document.scene.has_wet_colors
-    auto_width = imgui.calc_text_size("auto").x + imgui.get_frame_height() + 2 * imgui.get_style().item_spacing.x
-    fields.field_label("wetness")
+    auto_width = imgui.calc_text_size("Auto").x + imgui.get_frame_height() + 2 * imgui.get_style().item_spacing.x
+    fields.field_label("wetness", label=label)
     imgui.set_next_item_width(-auto_width - beside_px)
     with disabled(own is None or not has_colors):
         changed, value = slide("##wetness", now, 0.0, 1.0, "%.2f")
@@ -120,9 +114,9 @@ def wetness_fields(document: Document, live_rain: LiveRain, beside_px: float = 0
         fields.end_gesture_when_released(document)
     imgui.set_item_tooltip(field_of(RainSettings, "wetness").help if has_colors else _NO_WET_COLORS)
     imgui.same_line()
-    help_text = "Compute the wetness from the intensity (docs/physics.md, 11)."
+    help_text = "Compute the wetness from the intensity."
     with disabled(not has_colors):
-        automatic = checkbox("auto", own is None, help_text if has_colors else _NO_WET_COLORS)
+        automatic = checkbox("Auto", own is None, help_text if has_colors else _NO_WET_COLORS)
     if automatic != (own is None):
         document.change_rain("Wetness by the intensity" if automatic else "Wetness", wetness=None if automatic else now)
 
@@ -140,7 +134,8 @@ def _presets(document: Document) -> None:
         if number % _PRESETS_PER_ROW:
             imgui.same_line()
         rate = f"{preset.intensity_mm_h:g} mm/h" if preset.intensity_mm_h else "No rain"
-        help_text = f"{rate}, with all settings of the paper." if name == "paper" else f"{rate}."
+        source = "those of the GSRAIN paper (Wang, Zhang and Chen)" if name == "paper" else "the defaults"
+        help_text = f"{rate}; all other rain settings become {source}."
         if button(f"{title}###{name}", help_text, width=width, is_on=preset == document.rain_now):
             document.change_rain(f"Preset {name}", **msgspec.structs.asdict(preset))
 
@@ -151,16 +146,18 @@ def _intensity(document: Document, viewport: ViewportState, playback: Playback, 
     keyframed_slider(
         document, viewport, playback, "intensity_mm_h", high=HEAVIEST_MM_H if is_beyond else CALIBRATED_UP_TO_MM_H
     )
-    beyond = checkbox("up to 149 mm/h", is_beyond, "Above 13 mm/h the calibration is extrapolated.")
+    beyond = checkbox(
+        "Up to 149 mm/h (extrapolated)", is_beyond, "Above 13 mm/h the calibration is extrapolated, up to 149 mm/h."
+    )
     if beyond != is_beyond:
         viewport.options.beyond_calibration = beyond
         if not beyond and intensity > CALIBRATED_UP_TO_MM_H:
             document.change_rain("Intensity", intensity_mm_h=CALIBRATED_UP_TO_MM_H)
     if intensity > 0:
-        imgui.same_line()
+        same_line_if_fits(rain_class(intensity))
         imgui.text(rain_class(intensity))
     if live_rain.displayed.state_at(playback.clock.time_s).beyond_calibration:
-        imgui.same_line()
+        same_line_if_fits("beyond calibration")
         imgui.text_colored(WARNING, "beyond calibration")
 
 
@@ -183,7 +180,7 @@ def _exposure(document: Document, viewport: ViewportState, playback: Playback) -
     imgui.pop_style_color(colors)
     imgui.same_line()
     help_text = f"Use the camera's own exposure, {1000 * camera_s:.1f} ms."
-    why_not = f"{help_text} Not while the exposure has keyframes." if is_keyed else None
+    why_not = "Not while the exposure has keyframes." if is_keyed else None
     if button(f"{icons_fontawesome_6.ICON_FA_CAMERA}###camera's", help_text, width=width, why_not=why_not, is_on=own):
         document.change_rain("Exposure", exposure_s=camera_s if own else None)
     keyframe_button(document, viewport, playback, "exposure_s")
@@ -201,20 +198,20 @@ def _sensor(document: Document, viewport: ViewportState, live_rain: LiveRain, st
     imgui.set_next_item_width(-fields.keyframe_button_width())
     changed, at = combo_box("##sensor", names.index(own), titles)
     if changed:
-        document.change_rain("Sensor", sensor=names[at])
+        document.change_rain("Camera model", sensor=names[at])
     imgui.same_line()
     if fields.square_button(icons_fontawesome_6.ICON_FA_FOLDER_OPEN, "choose sensor"):
         ask_what_to_open("Sensor", "Sensors{.yaml,.yml}", lambda chosen: _use(document, status, chosen[0]))
     imgui.set_item_tooltip("Choose a sensor file...")
     simulation, camera = live_rain.simulation, viewport.shot(960, 640).camera
     sensor, lens = simulation.sensor, simulation.lens(camera)
-    rows = [("Lens opening", f"{1e3 * lens.aperture_m:.2f} mm", "f p / N: focal length over f-number.")]
+    rows = [("Exposure", f"{1e3 * simulation.exposure_s(camera):.2f} ms", "Exposure time of drops.")]
+    rows.append(("Aperture", f"{1e3 * lens.aperture_m:.2f} mm", "Diameter of the lens: focal length / f-number."))
     if lens.aperture_m:
-        rows.append(("Focus", f"{lens.focus_m:.2f} m", "Distance that is sharp."))
-    rows.append(("Shutter", f"{1e3 * simulation.exposure_s(camera):.2f} ms", "Exposure time of drops."))
+        rows.append(("Focus distance", f"{lens.focus_m:.2f} m", "Distance that is sharp."))
     if sensor.readout_s:
         text = f"{1e3 * sensor.readout_s:.0f} ms {sensor.readout_direction}"
-        rows.append(("Rolling shutter", text, "Time from the first row to the last; it acts on drops."))
+        rows.append(("Rolling shutter readout", text, "Time from the first row to the last; it acts on drops."))
     if simulation.picture_sensor is not None:
         if sensor.full_well_e is not None:
             text = f"{sensor.full_well_e / sensor.gain:,.0f} e-, read noise {sensor.read_noise_e:g} e-"
@@ -225,7 +222,8 @@ def _sensor(document: Document, viewport: ViewportState, live_rain: LiveRain, st
             rows.append(("Processing", text, "Strengths. In recorded images and videos."))
         if sensor.jpeg_quality is not None:
             rows.append(("JPEG quality", f"{sensor.jpeg_quality}", "In recorded images and videos."))
-    readings("sensor values", rows)
+    fields.faint("In effect:")
+    readings("sensor values", rows, faint=True)
 
 
 def _use(document: Document, status: StatusBus, path: Path) -> None:
@@ -235,7 +233,7 @@ def _use(document: Document, status: StatusBus, path: Path) -> None:
     except (ValueError, OSError) as error:
         status.report(error)
     else:
-        document.change_rain("Sensor", sensor=str(path))
+        document.change_rain("Camera model", sensor=str(path))
 
 
 @cache
@@ -309,7 +307,7 @@ def _drop_color(document: Document, viewport: ViewportState, live_rain: LiveRain
     own, is_picking = document.rain.drop_color, viewport.options.tool == PICK_TOOL
     flags = imgui.ColorEditFlags_.no_inputs | imgui.ColorEditFlags_.no_label
     changed, color = imgui.color_edit3("##drop_color", list(own or live_rain.sky.drops), flags)
-    imgui.set_item_tooltip("Display color of a drop (eq. 3).")
+    imgui.set_item_tooltip("Display color of a drop.")
     if changed:
         drop_color = tuple(min(max(channel, 0.0), 1.0) for channel in color[:3])
         document.change_rain("Drop color", "drop_color", drop_color=drop_color)
@@ -319,12 +317,14 @@ def _drop_color(document: Document, viewport: ViewportState, live_rain: LiveRain
     if button(f"{icons_fontawesome_6.ICON_FA_EYE_DROPPER}###pick sky", help_text, is_on=is_picking):
         viewport.options.tool = "" if is_picking else PICK_TOOL
     imgui.same_line()
-    help_text = "Use the mean color of the scene's sky in linear light, the default (eq. 3)."
-    if button("from the sky", help_text, enabled=own is not None):
-        document.change_rain("Drop color from the sky", drop_color=None)
+    help_text = "Use the mean color of the scene's sky in linear light, the default."
+    if button("From sky", help_text, enabled=own is not None):
+        document.change_rain("Drop color from sky", drop_color=None)
 
 
 # Rain properties panel: quantities derived from the intensity
+
+_VISIBILITY_HELP = "Distance at which 5 % of a contrast is left (meteorological optical range)."
 
 
 def rain_properties_panel(document: Document, viewport: ViewportState, playback: Playback, live_rain: LiveRain) -> None:
@@ -332,8 +332,8 @@ def rain_properties_panel(document: Document, viewport: ViewportState, playback:
     if state.intensity_mm_h == 0 and not state.is_clear:
         visibility = f"{state.visibility_m:,.0f} m"
         readings("fog properties", [
-            ("Extinction", f"{1000 * state.extinction_per_m:.3f} /km", "beta of the fog: -ln(0.05) / visibility."),
-            ("Visibility", visibility, "Meteorological optical range."),
+            ("Fog extinction", f"{1000 * state.extinction_per_m:.3f} /km", "Of light, by the fog: 3.0 / visibility."),
+            ("Fog visibility", visibility, _VISIBILITY_HELP),
         ])  # fmt: skip
         return
     if state.intensity_mm_h == 0:
@@ -343,24 +343,32 @@ def rain_properties_panel(document: Document, viewport: ViewportState, playback:
     rows = [
         ("Set rain rate", f"{state.intensity_mm_h:.2f} mm/h", "Rainfall intensity R."),
         ("Class", state.rain_class, "Very light to very heavy rain, after ASAM OSI."),
-        ("Simulated rain rate", f"{state.implied_mm_h:.2f} mm/h", "6e-4 pi N E[V D^3] of the simulated drops."),
-        ("Rain rate of the calibration", f"{state.table_implied_mm_h:.2f} mm/h", "For its own density."),
+        ("Simulated rain rate", f"{state.implied_mm_h:.2f} mm/h", "Of the simulated drops: 6e-4 pi N E[V D^3]."),
+        ("Rain rate of the calibration", f"{state.table_implied_mm_h:.2f} mm/h",
+         "Rain rate with as many drops as the calibration's table has at this intensity."),
         ("Drops per m\u00b3", f"{state.density_m3:,.0f}",
          f"Number density N; {state.table_density_m3:,.0f} in the calibration's table."),
         ("Calibration has this density at", _intensity_in_table(state.density_m3, live_rain.displayed.calibration),
          "Intensity at which the calibration's table has this density."),
-        ("Gamma shape", f"{state.shape:.3f}", "mu of the gamma law of diameters."),
-        ("Gamma scale", f"{state.scale_mm:.4f} mm", "theta of the gamma law of diameters."),
+        ("Gamma shape", f"{state.shape:.3f}", "mu of the gamma distribution of drop diameters."),
+        ("Gamma scale", f"{state.scale_mm:.4f} mm", "theta of the gamma distribution of drop diameters."),
         ("Mean diameter", f"{state.mean_diameter_mm:.3f} mm", "Of all drops in the air."),
         ("Mean fall speed", f"{state.mean_fall_speed_m_s:.2f} m/s", "Of all drops in the air."),
         ("Drops in region", f"{state.drops:,}", "Density times the streak region's volume."),
-        ("Drops drawn", f"{drawn:,}", "Visible in this camera, nearer than phi f D."),
-        ("Extinction", f"{1000 * state.extinction_per_m:.3f} /km", "beta = (pi/4) Q N E[D^2], times the haze gain."),
-        ("Visibility", f"{state.visibility_m / 1000:.2f} km", "Distance at which 5 % of the contrast is left."),
+        ("Drops drawn", f"{drawn:,}", "In the image, near enough to be streaks."),
     ]  # fmt: skip
     if document.rain.haze == "gaussians":
         help_text = f"Around the camera; {state.haze_gaussians:,} at full opacity in the region."
-        rows.insert(-2, ("Haze Gaussians", f"{haze:,}", help_text))
+        rows.append(("Haze Gaussians", f"{haze:,}", help_text))
+    per_km = 1000 * (state.extinction_per_m - state.fog_extinction_per_m)
+    help_text = "Of light, by the drops: (pi/4) Q N E[D^2], times the haze gain."
+    rows.append(("Rain extinction", f"{per_km:.3f} /km", help_text))
+    has_fog = state.fog_extinction_per_m > 0
+    if has_fog:
+        help_text = "Of light, by the fog: 3.0 / visibility."
+        rows.append(("Fog extinction", f"{1000 * state.fog_extinction_per_m:.3f} /km", help_text))
+    title = "Visibility in both" if has_fog else "Rain visibility"
+    rows.append((title, f"{state.visibility_m / 1000:.2f} km", _VISIBILITY_HELP))
     readings("readout", rows)
     if state.beyond_calibration:
         imgui.text_colored(WARNING, f"beyond calibration ({state.calibrated_up_to_mm_h:.3g} mm/h)")

@@ -29,8 +29,8 @@ from gsrain_engine.rain.keyframes import (
 from gsrain_engine.rain.settings import CALIBRATED_UP_TO_MM_H, HEAVIEST_MM_H
 
 from ..commands.table import help_of
-from ..widgets.draw import draw_diamond
-from ..widgets.fields import LOGARITHMIC, button, square_button, toggle_keyframe, warn
+from ..widgets.draw import draw_diamond, on_screen_px
+from ..widgets.fields import LOGARITHMIC, button, same_line_if_fits, square_button, toggle_keyframe, warn
 from ..widgets.file_dialogs import ask_what_to_open
 from .timeline_tracks import value_text
 
@@ -92,33 +92,28 @@ def _buttons(editor: Editor) -> None:
     present = document.keyframes.key_at(now_s)
     is_here = present is not None and present.intensity_mm_h is not None
     action = "Remove the keyframe" if is_here else "Insert a keyframe of the present intensity"
-    if button("Remove keyframe###now" if is_here else "Insert keyframe###now", f"{action} at {now_s:.2f} s."):
+    if button(
+        "Remove intensity keyframe###now" if is_here else "Insert intensity keyframe###now",
+        f"{action} at {now_s:.2f} s.",
+    ):
         toggle_keyframe(document, editor.viewport, playback, "intensity_mm_h")
-    _same_line_if_fits("Add passing shower")
+    same_line_if_fits("Add passing shower")
     if button("Add passing shower", help_of("Add passing shower")):
         add_passing_shower(document, playback, editor.keyframe_panel)
-    _same_line_if_fits("Import...")
-    if button("Import...", _IMPORT_HELP, enabled=calibration.busy is None):
+    same_line_if_fits("Import disdrometer series...")
+    if button("Import disdrometer series...###import", _IMPORT_HELP, enabled=calibration.busy is None):
         ask_for_rate_file(calibration)
-    _same_line_if_fits("Fit##shower")
+    same_line_if_fits("Fit##shower")
     if button(
         f"{icons_fontawesome_6.ICON_FA_MAXIMIZE}###fit shower", "Show all keyframes. Wheel: zoom in time. Drag: pan."
     ):
         editor.keyframe_panel.refit = True
-    _same_line_if_fits("Clear keyframes")
-    if button("Clear keyframes", help_of("Clear rain keyframes"), enabled=bool(document.keyframes.keys)):
+    same_line_if_fits("Clear rain keyframes")
+    if button("Clear rain keyframes", help_of("Clear rain keyframes"), enabled=bool(document.keyframes.keys)):
         clear_keyframes(document)
     if calibration.busy is not None:
         imgui.text_disabled(calibration.busy)
     warn(calibration.error)
-
-
-def _same_line_if_fits(label: str) -> None:
-    style = imgui.get_style()
-    width = imgui.calc_text_size(label, hide_text_after_double_hash=True).x + 2 * style.frame_padding.x
-    right = imgui.get_window_pos().x + imgui.get_window_width() - style.window_padding.x
-    if imgui.get_item_rect_max().x + style.item_spacing.x + width < right:
-        imgui.same_line()
 
 
 def _series(editor: Editor, name: str, reading: DisdrometerReading) -> None:
@@ -135,11 +130,11 @@ def _series(editor: Editor, name: str, reading: DisdrometerReading) -> None:
     width = 5.5 * imgui.get_font_size()
     imgui.set_next_item_width(width)
     _, keyframe_panel.speed_up = imgui.drag_float(
-        "times faster", keyframe_panel.speed_up, 0.5, 1.0, 10_000.0, "%.0f", LOGARITHMIC
+        "Times faster", keyframe_panel.speed_up, 0.5, 1.0, 10_000.0, "%.0f", LOGARITHMIC
     )
     imgui.set_item_tooltip("Compresses time: at 60, a minute of the series takes a second of the scene.")
     imgui.set_next_item_width(width)
-    _, keyframe_panel.start_s = imgui.drag_float("starts at (s)", keyframe_panel.start_s, 0.1, -1e6, 1e6, "%.1f")
+    _, keyframe_panel.start_s = imgui.drag_float("Starts at (s)", keyframe_panel.start_s, 0.1, -1e6, 1e6, "%.1f")
     imgui.set_item_tooltip("Time of the first record in the scene, in seconds.")
     if button("Use it", "Replace the present keyframes by the series."):
         document.edit_keyframes(f"Series {name}", replace_keyframes, measured.weather)
@@ -211,7 +206,7 @@ def _curve(document: Document, keyframe_panel: KeyframePanelState) -> None:
     limits = implot.get_plot_limits()
     times, rates = _points(document, limits.x.min, limits.x.max)
     implot.plot_shaded("fill", times, rates, spec=implot.Spec(fill_color=_FILL))
-    implot.plot_line("rate", times, rates, spec=implot.Spec(line_color=_CURVE, line_weight=2.0))
+    implot.plot_line("rate", times, rates, spec=implot.Spec(line_color=_CURVE, line_weight=on_screen_px(2.0)))
     if keyframe_panel.top_mm_h > CALIBRATED_UP_TO_MM_H:
         spec = implot.Spec(line_color=_LIMIT, flags=implot.InfLinesFlags_.horizontal)
         implot.plot_inf_lines("calibrated up to", np.array([CALIBRATED_UP_TO_MM_H]), spec=spec)

@@ -11,6 +11,7 @@ from gsrain_engine.editor.timeline import Playback
 from gsrain_engine.fields import field_of
 from gsrain_engine.render.export import LONGEST_DEFAULT_S
 from gsrain_engine.render.export_settings import (
+    DEFAULT_JPEG_QUALITY,
     DEFAULT_QUALITY,
     EXPORT_PRESETS,
     LARGEST_PX,
@@ -51,13 +52,27 @@ _SIZES = {
     (960, 640): "960 x 640", (1280, 720): "1280 x 720", (1920, 1080): "1920 x 1080", (3840, 2160): "3840 x 2160",
     None: "the rig's own",
 }  # fmt: skip
+_QUALITIES: dict[Codec, tuple[str, str, int, int]] = {
+    "h264": ("Video quality (CRF)", "Constant rate factor, 0 to 51: lower is better, and larger.", 0, 51),
+    "vp9": ("Video quality (CRF)", "Constant rate factor, 0 to 63: lower is better, and larger.", 0, 63),
+    "av1": ("Video quality (CRF)", "Constant rate factor, 0 to 63: lower is better, and larger.", 0, 63),
+    "jpeg": ("JPEG quality", "1 to 100: higher is better, and larger.", 1, 100),
+}
+"""Title and help of a format's quality, and its bounds."""
+
 _PATH = "the camera path"
 _CHECKBOX_EM = 6.2  # width of a checkbox with a word next to a field
-_PASS_HELP: dict[Pass, str] = {
-    "color": "The rendered image.",
-    "depth": "Along the view axis, without rain: PNG with 16 bit in cm, or Z in EXR in m; 0 where there is nothing.",
-    "alpha": "Coverage of each pixel: PNG with 8 bit, or A in EXR.",
-    "labels": "Layer or actor of each pixel: PNG with a number each; labels.json lists the numbers.",
+_PASSES: dict[Pass, tuple[str, str]] = {
+    "color": ("Color", "The rendered image."),
+    "depth": (
+        "Depth",
+        "Along the view axis, without rain: PNG with 16 bit in cm, or Z in EXR in m; 0 where there is nothing.",
+    ),
+    "alpha": ("Alpha", "Coverage of each pixel: PNG with 8 bit, or A in EXR."),
+    "labels": (
+        "Layer and actor IDs",
+        "Layer or actor of each pixel: PNG with a number each; labels.json lists the numbers.",
+    ),
 }
 
 
@@ -68,7 +83,7 @@ def record_panel(
     if rollouts.playing is not None:
         warn("A recording shows the scene with its own traffic, not the playing roll-out.")
         why_not = rollouts.why_no_video
-        if button("Render video of the drive...", help_of("Render video of the drive..."), width=-1, why_not=why_not):
+        if button("Render drive video...", help_of("Render drive video..."), width=-1, why_not=why_not):
             ask_where_to_render_drive(rollouts)
     can_start, half = _extent(render_queue), share_of_width(2)
     help_text = "Choose a place, then record in the background (Ctrl+R). The Jobs panel shows the progress."
@@ -103,7 +118,7 @@ def record_panel(
 def ask_where_to_record(render_queue: RenderQueue) -> None:
     kinds, name = _KINDS.get(render_queue.settings.codec, _FRAMES), render_queue.proposed_name()
     record = render_queue.record_to
-    ask_where_to_save("Record the timeline", kinds, lambda chosen: record(chosen[0]), proposed=name, confirms=False)
+    ask_where_to_save("Record timeline", kinds, lambda chosen: record(chosen[0]), proposed=name, confirms=False)
 
 
 def ask_where_to_render_image(render_queue: RenderQueue) -> None:
@@ -133,7 +148,7 @@ def _extent(render_queue: RenderQueue) -> bool:
         return True
     imgui.set_item_tooltip("From the viewport's last image (min:s), without encoding, and while nothing else runs.")
     help_text = "Draw and write a few frames in the background, and estimate the time from them."
-    if extent.frames > 1 and button("Estimate the time", help_text, width=-1, enabled=not render_queue.is_timing):
+    if extent.frames > 1 and button("Estimate time", help_text, width=-1, enabled=not render_queue.is_timing):
         render_queue.time_frames()
     return True
 
@@ -168,7 +183,7 @@ def _projection(render_queue: RenderQueue) -> None:
 def _preview(render_queue: RenderQueue) -> None:
     """Draw the last previewed frame as wide as the panel, on a checkerboard where it is transparent."""
     help_text = "Render the frame at the playhead in the background, in full size, exactly as it would be written."
-    if button("Preview the frame", help_text, width=-1, enabled=not render_queue.is_previewing):
+    if button("Preview frame", help_text, width=-1, enabled=not render_queue.is_previewing):
         render_queue.preview_frame()
     if (texture := render_queue.preview_texture) is None:
         return
@@ -195,18 +210,19 @@ def _format(render_queue: RenderQueue) -> None:
     plain_label("Format", "A video, or a folder of numbered frames.")
     if (codec := combo("##format", settings.codec, _FORMATS)) != settings.codec:
         render_queue.change(codec=codec, quality=None)
-    if not render_queue.settings.is_video:
+    settings = render_queue.settings
+    if settings.codec not in _QUALITIES:
         return
-    field_label("quality", ExportSettings)
+    title, help_text, lowest, highest = _QUALITIES[settings.codec]
+    plain_label(title, help_text)
     imgui.set_next_item_width(-_CHECKBOX_EM * imgui.get_font_size())
-    default = DEFAULT_QUALITY.get(settings.codec, 0)
-    quality, highest = settings.quality, 51 if settings.codec == "h264" else 63
+    quality, default = settings.quality, DEFAULT_QUALITY.get(settings.codec, DEFAULT_JPEG_QUALITY)
     with disabled(quality is None):
-        changed, new = slide_whole("##quality", default if quality is None else quality, 0, highest)
+        changed, new = slide_whole("##quality", default if quality is None else quality, lowest, highest)
     if changed:
         render_queue.change(quality=new)
     imgui.same_line()
-    is_default = checkbox("default###usual", quality is None, "The codec's default quality: hardly a visible loss.")
+    is_default = checkbox("Default###usual", quality is None, "The format's default quality: hardly a visible loss.")
     if is_default != (quality is None):
         render_queue.change(quality=None if is_default else default)
 
@@ -256,7 +272,7 @@ def _cameras(document: Document, render_queue: RenderQueue) -> None:
 def _times(render_queue: RenderQueue, playback: Playback) -> None:
     settings = render_queue.settings
     help_text = "Record the timeline's range, where its ends were dragged; else from and to below."
-    if (follows := checkbox("Timeline's range", render_queue.follows_range, help_text)) != render_queue.follows_range:
+    if (follows := checkbox("Timeline range", render_queue.follows_range, help_text)) != render_queue.follows_range:
         render_queue.follows_range = follows
     if follows and playback.clock.span_s is not None:
         imgui.same_line()
@@ -282,19 +298,19 @@ def _times(render_queue: RenderQueue, playback: Playback) -> None:
         "Record until the camera path or the rig's drive ends. "
         f"Without keyframes of your own, a recording has at most {LONGEST_DEFAULT_S:g} s."
     )
-    if checkbox("path end###its end", is_whole, help_text) != is_whole:
+    if checkbox("Path end###its end", is_whole, help_text) != is_whole:
         render_queue.change(last_s=end_s if is_whole else None)
 
 
 def _passes(render_queue: RenderQueue) -> None:
     settings = render_queue.settings
-    for name, help_text in _PASS_HELP.items():
+    for name, (title, help_text) in _PASSES.items():
         is_on = name in settings.passes
-        if checkbox(name, is_on, help_text) != is_on:
-            passes = tuple(each for each in _PASS_HELP if (each in settings.passes) != (each == name))
+        if checkbox(f"{title}###{name}", is_on, help_text) != is_on:
+            passes = tuple(each for each in _PASSES if (each in settings.passes) != (each == name))
             if passes:
                 render_queue.change(passes=passes)
-        if name != "labels":
+        if name in ("color", "depth"):
             imgui.same_line()
     info = field_of(ExportSettings, "twin")
     titles = {False: "none", "sunny": "sunny", "overcast": "overcast"}

@@ -9,7 +9,7 @@ from gsrain_engine.editor.selection.candidates import Mode, selectable_count, se
 from gsrain_engine.editor.selection.commands import SelectionTool, unused_set_name
 from gsrain_engine.editor.viewport_state import ViewportState
 
-from ..widgets.fields import LOGARITHMIC, button, checkbox, combo, disabled
+from ..widgets.fields import LOGARITHMIC, button, checkbox, combo, disabled, share_of_width
 from ..widgets.numbers import slide
 from ..widgets.text import label
 
@@ -19,11 +19,11 @@ _SET_HELP: dict[Mode, tuple[str, str]] = {
     "remove": (icons_fontawesome_6.ICON_FA_MINUS, "Remove the Gaussians of this set from the selection."),
     "intersect": (icons_fontawesome_6.ICON_FA_CIRCLE_HALF_STROKE, "Intersect the selection with this set."),
 }
-_RANGE_HELP: dict[Mode, str] = {
-    "set": "Select the Gaussians in the range.",
-    "add": "Add the Gaussians in the range to the selection.",
-    "remove": "Remove the Gaussians in the range from the selection.",
-    "intersect": "Intersect the selection with the range.",
+_RANGE_HELP: dict[Mode, tuple[str, str]] = {
+    "set": ("Replace", "Select the Gaussians in the range, and no others."),
+    "add": ("Add", "Add the Gaussians in the range to the selection."),
+    "remove": ("Remove", "Remove the Gaussians in the range from the selection."),
+    "intersect": ("Intersect", "Leave only what of the selection is in the range."),
 }
 
 
@@ -49,7 +49,8 @@ def _buttons(viewport: ViewportState, selection: SelectionTool, is_selected: boo
     if button("Invert", "Select all visible Gaussians that were not selected (Ctrl+I)."):
         selection.invert()
     imgui.same_line()
-    viewport.options.show_selection = checkbox("Tint", viewport.options.show_selection, "Tint the selection (Shift+S).")
+    help_text = "Tint the selected Gaussians (Shift+S)."
+    viewport.options.show_selection = checkbox("Highlight", viewport.options.show_selection, help_text)
     if button("Grow", "Add Gaussians within this distance of the selection (Ctrl+]).", enabled=is_selected):
         selection.grow()
     imgui.same_line()
@@ -60,7 +61,7 @@ def _buttons(viewport: ViewportState, selection: SelectionTool, is_selected: boo
     imgui.text("by")
     imgui.same_line()
     imgui.set_next_item_width(-1)
-    _, selection.distance_m = slide("##distance_m", selection.distance_m, 0.001, 10.0, "%.3f m", LOGARITHMIC, unit="m")
+    _, selection.distance_m = slide("##distance_m", selection.distance_m, 0.001, 10.0, "%.3g m", LOGARITHMIC, unit="m")
     imgui.set_item_tooltip("Distance between centers in meters. Double click: type.")
 
 
@@ -156,10 +157,11 @@ def _attribute_range(document: Document, viewport: ViewportState, selection: Sel
             ", ".join(name for number, name in layer_names(document.scene).items() if low <= number <= high)
         )
         imgui.pop_text_wrap_pos()
-    for mode, help_text in _RANGE_HELP.items():
-        if mode != "set":
+    half = share_of_width(2)
+    for mode, (title, help_text) in _RANGE_HELP.items():
+        if mode in ("add", "intersect"):
             imgui.same_line()
-        if button(f"{mode.capitalize()}##range", help_text):
+        if button(f"{title}##range", help_text, width=half):
             limits = histogram.opened(low, high)
             view = shot.time_s, shot.camera
             selection.select(mode, attribute, select_attribute_range, *view, attribute, *limits)

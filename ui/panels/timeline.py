@@ -102,7 +102,7 @@ def _transport(editor: Editor) -> None:
     playback, view = editor.playback, editor.viewport.options
     clock, timeline = playback.clock, playback.timeline
     start, end = playback.span_s
-    if button(f"{_FA.ICON_FA_BACKWARD_FAST}###to start", "To the start (Ctrl+Left)."):
+    if button(f"{_FA.ICON_FA_BACKWARD_FAST}###to start", "To the start of the range (Ctrl+Left)."):
         clock.seek(start)
     imgui.same_line()
     if button(f"{_FA.ICON_FA_BACKWARD_STEP}###step back", "One frame back (Left)."):
@@ -114,10 +114,10 @@ def _transport(editor: Editor) -> None:
     if button(f"{_FA.ICON_FA_FORWARD_STEP}###step", "One frame forward (Right)."):
         clock.step(1, timeline.fps)
     imgui.same_line()
-    if button(f"{_FA.ICON_FA_FORWARD_FAST}###to end", "To the end (Ctrl+Right)."):
+    if button(f"{_FA.ICON_FA_FORWARD_FAST}###to end", "To the end of the range (Ctrl+Right)."):
         clock.seek(end)
     imgui.same_line()
-    if button(f"{_FA.ICON_FA_REPEAT}###repeat", "Restart at the end.", is_on=clock.loop):
+    if button(f"{_FA.ICON_FA_REPEAT}###repeat", "Loop: restart at the end of the range.", is_on=clock.loop):
         clock.loop = not clock.loop
     imgui.same_line()
     imgui.set_next_item_width(4.2 * imgui.get_font_size())
@@ -138,7 +138,10 @@ def _transport(editor: Editor) -> None:
     _path_menu(editor.document, playback, editor.camera_path)
     imgui.same_line(spacing=_GAP)
     help_text = "Choose a place, then record the timeline (Ctrl+R); the Record panel has format and size."
-    if button(f"{_FA.ICON_FA_VIDEO} Record...###record", help_text):
+    title = f"{_FA.ICON_FA_VIDEO} Record..."
+    width = imgui.calc_text_size(title).x + 2 * imgui.get_style().frame_padding.x
+    fits = width <= imgui.get_content_region_avail().x
+    if button(f"{title if fits else _FA.ICON_FA_VIDEO}###record", help_text):
         ask_where_to_record(editor.render_queue)
 
 
@@ -215,7 +218,7 @@ def _path_menu(document: Document, playback: Playback, camera_path: CameraPathEd
         imgui.end_menu()
     imgui.separator()
     _drive_menu(camera_path)
-    if menu_item("Circle around the target", help_of("Circle around the target")):
+    if menu_item("Circle around target", help_of("Circle around target")):
         camera_path.circle_target()
     imgui.separator()
     if imgui.begin_menu("fps"):
@@ -225,7 +228,7 @@ def _path_menu(document: Document, playback: Playback, camera_path: CameraPathEd
         imgui.end_menu()
     imgui.set_item_tooltip("Frame rate: keyframes and steps are on whole frames; exports write each frame.")
     has_path = document.scene.path is not None
-    if menu_item("Reverse", help_of("Reverse the camera path"), possible=has_path):
+    if menu_item("Reverse", help_of("Reverse camera path"), possible=has_path):
         camera_path.reverse_path()
     if menu_item("Delete all keyframes", help_of("Delete camera path"), possible=has_path):
         camera_path.delete_path()
@@ -233,7 +236,7 @@ def _path_menu(document: Document, playback: Playback, camera_path: CameraPathEd
 
 
 def _export_menu(camera_path: CameraPathEditor) -> None:
-    if menu_item("Keyframes (GSRAIN)...", "Keyframes and interpolation; import restores them exactly."):
+    if menu_item("Keyframes (GSRAIN)...", "Keyframes, interpolation and easing; import restores them exactly."):
         ask_for_export(camera_path)
     if menu_item("Every frame (nerfstudio)...", "A camera_path.json for ns-render, at the timeline's frame rate."):
         title = "Export for nerfstudio"
@@ -248,7 +251,7 @@ def _export_menu(camera_path: CameraPathEditor) -> None:
 
 def _drive_menu(camera_path: CameraPathEditor) -> None:
     cameras = camera_path.rig_cameras
-    if not imgui.begin_menu("From the drive", bool(cameras)):
+    if not imgui.begin_menu("From recorded drive", bool(cameras)):
         imgui.set_item_tooltip("Fly like a camera of the recording vehicle. This scene has no such vehicle.")
         return
     for number, camera in enumerate(cameras):
@@ -306,7 +309,7 @@ def _range_title(playback: Playback, start: ImVec2, titles_px: float, height: fl
     if imgui.invisible_button("range title", ImVec2(titles_px - 4, height)) and own:
         playback.clock.span_s = None
     imgui.set_item_tooltip(_RANGE_HELP + ("\nClick: all of the camera path or the traffic." if own else ""))
-    text = f"range {last_s - first_s:.1f} s"
+    text = f"Range {last_s - first_s:.1f} s"
     hue = color(hues.PLAYED if own else hues.DIM)
     imgui.get_window_draw_list().add_text(start + ImVec2(4, 0), hue, text)
 
@@ -520,7 +523,7 @@ def _keyframe_menu(playback: Playback, document: Document, camera_path: CameraPa
             camera_path.copy_keyframe(key, playback.clock.time_s)
         if menu_item("Move to the present time", "Move this keyframe to the playhead."):
             camera_path.retime_keyframe(key, playback.clock.time_s)
-        if menu_item("Snap to the drive", "Move it to the nearest pose of the recorded drive."):
+        if menu_item("Snap to recorded drive", "Move it to the nearest pose of the recorded drive."):
             camera_path.snap_keyframe(key)
         if menu_item("Copy", "Copy the camera (Ctrl+C); Ctrl+V pastes it at the playhead."):
             camera_path.copy(key)
@@ -589,32 +592,34 @@ def _path_numbers(editor: Editor, path: CameraPath | None) -> None:
     viewport, camera_path = editor.viewport, editor.camera_path
     displayed = path or viewport.path
     with disabled(path is None):
-        _label("Interpolation", "Curve between keyframes, and easing.")
+        _label("Curve, easing", "Interpolation between keyframes, and easing.")
         half = 0.5 * imgui.get_content_region_avail().x - 3
         imgui.set_next_item_width(half)
         help_text = "spline: smooth through all keyframes. linear: straight, at constant speed between keyframes."
         _choice(camera_path, "Interpolation", "interpolation", get_args(Interpolation), displayed, help_text)
         imgui.same_line(spacing=6)
         imgui.set_next_item_width(half)
-        help_text = "none: constant speed. in and out: slow at both ends. at each key: stop at every keyframe."
+        help_text = "Easing. none: constant speed. in and out: slow at both ends. at each key: stop at every keyframe."
         _choice(camera_path, "Easing", "easing", get_args(Easing), displayed, help_text)
-        _label("Loop, time", "Continue from the last keyframe to the first; and the duration in seconds.")
-        help_text = "Continue from the last keyframe to the first, in the mean time of the other intervals."
-        if (loop := checkbox("##loop", displayed.loop, help_text)) != displayed.loop:
-            camera_path.change_path("Loop on" if loop else "Loop off", loop=loop)
-        imgui.same_line()
-        imgui.set_next_item_width(-1)
+        help_text = "Duration of the path in seconds: scales the times of all keyframes."
+        _label("Path duration", help_text)
+        imgui.set_next_item_width(half)
         typed = _typed_number("##duration", displayed.duration_s)
-        imgui.set_item_tooltip("Duration of the path in seconds: scales the times of all keyframes.")
+        imgui.set_item_tooltip(help_text)
         if typed is not None:
             camera_path.stretch_path(typed)
+        imgui.same_line(spacing=6)
+        help_text = "Continue from the last keyframe to the first, in the mean time of the other intervals."
+        if (loop := checkbox("Closed###loop", displayed.loop, help_text)) != displayed.loop:
+            camera_path.change_path("Closed path on" if loop else "Closed path off", loop=loop)
     speed, t = speed_of(viewport.path), editor.playback.clock.time_s
     ego = ego_speed_km_h(editor.rollouts.displayed_scene, t)
     now = 3.6 * float(np.linalg.norm(viewport.path.velocity(t)))
     imgui.text(f"{speed.length_m:.1f} m, {speed.mean_km_h:.0f} km/h, at most {speed.fastest_km_h:.0f} km/h")
     imgui.set_item_tooltip("Length, mean speed and maximum speed of the path.")
-    imgui.text(f"now {now:.1f} km/h" + (f"   ego vehicle {ego:.1f} km/h" if ego is not None else ""))
-    imgui.set_item_tooltip("Speed of the path camera, and of the recording vehicle, at the present time.")
+    vehicle = "recording vehicle" if editor.rollouts.playing is None else "ego vehicle"
+    imgui.text(f"Now {now:.1f} km/h" + (f"   {vehicle} {ego:.1f} km/h" if ego is not None else ""))
+    imgui.set_item_tooltip(f"Speed of the path camera, and of the {vehicle}, at the present time.")
     if speed.warning is not None:
         with text_color(_TOO_FAST):
             imgui.text_wrapped(speed.warning)

@@ -92,7 +92,7 @@ def transfer_training_fields(viewport: ViewportState, finetune: FinetuneControll
         path_field(finetune.choice, name, "", partial(_take, finetune, name))
     finetune.choice = edit_field(finetune.choice, "steps", step=100)
     can_resume, why_not = finetune.can_resume, finetune.why_not
-    title = "Resume the training" if can_resume else "Train the transfer"
+    title = "Resume training" if can_resume else "Train transfer"
     help_text = "Continue from the folder's checkpoint, with the same result as without a stop."
     if not can_resume:
         help_text = "Fine-tune CycleGAN-Turbo on the two sets of images; Cancel preserves the last checkpoint."

@@ -53,10 +53,7 @@ _PREVIEW_HELP = (
     "Transfer the present view within seconds, and show it right of the live image.\n"
     "It is soaked (wetness 1), like the wet colors that the job creates."
 )
-_COMPARE_HELP = (
-    "Show the clear scene left and the rainy scene right of a line that can be dragged.\n"
-    "Without rain, the intensity is set to 8.5 mm/h, as an undo step."
-)
+_COMPARE_HELP = "Show the clear scene left and the rainy scene right of a line that can be dragged."
 
 
 def wet_look_panel(editor: Editor) -> None:
@@ -68,7 +65,7 @@ def wet_look_panel(editor: Editor) -> None:
     _make(viewport, wet_look, jobs)
     if editor.document.scene.has_wet_colors:
         _result(editor.document, viewport, editor.live_rain, wet_look)
-    if imgui.collapsing_header("Train the transfer"):
+    if imgui.collapsing_header("Train transfer"):
         transfer_training_fields(viewport, editor.finetune, jobs)
 
 
@@ -173,11 +170,15 @@ def _result(document: Document, viewport: ViewportState, live_rain: LiveRain, we
     imgui.separator_text("Wet colors")
     if live_rain.wetness_now == 0:
         imgui.text_wrapped("The scene is dry now: the wetness follows the rain.")
-    fields.slider(document, "intensity_mm_h", high=max(CALIBRATED_UP_TO_MM_H, document.rain_now.intensity_mm_h))
-    wetness_fields(document, live_rain)
+    high = max(CALIBRATED_UP_TO_MM_H, document.rain_now.intensity_mm_h)
+    fields.slider(document, "intensity_mm_h", high=high, label="Scene rain (mm/h)")
+    wetness_fields(document, live_rain, label="Scene wetness")
     is_compared = viewport.options.split == "clear | rainy"
-    title = f"{_ICONS.ICON_FA_TABLE_COLUMNS}  {'Stop comparing' if is_compared else 'Compare'}###compare"
-    if button(title, _COMPARE_HELP, width=-1):
+    title = (
+        f"{_ICONS.ICON_FA_TABLE_COLUMNS}  {'Stop comparing' if is_compared else 'Compare clear and rainy'}###compare"
+    )
+    why_not = None if is_compared else wet_look.why_no_comparison
+    if button(title, _COMPARE_HELP, width=-1, why_not=why_not):
         if is_compared:
             viewport.options.split = "off"
         else:

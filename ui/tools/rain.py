@@ -1,4 +1,4 @@
-"""Tools "Rain regions" and "Pick sky color": boxes of streaks and haze, and the color of drops."""
+"""Tools "Rain regions" and "Pick drop color": boxes of streaks and haze, and the color of drops."""
 
 from dataclasses import replace
 from functools import partial
@@ -140,7 +140,7 @@ class SkyPickTool(DragTool):
 
     name = PICK_TOOL
     icon = icons_fontawesome_6.ICON_FA_CLOUD_SUN
-    help = "Give drops the color of the sky you show: click a pixel, or drag a rectangle (mean in linear light)."
+    help = "Give drops a color of the image: click a pixel of the sky, or drag a rectangle (mean in linear light)."
 
     def __init__(self, document: Document, viewport: ViewportState, live_rain: LiveRain) -> None:
         self._document, self._viewport, self._live_rain = document, viewport, live_rain
@@ -164,7 +164,7 @@ class SkyPickTool(DragTool):
         imgui.same_line()
         inline_text("picked" if own is not None else "from the scene's sky")
         imgui.begin_disabled(own is None)
-        if imgui.button("From the sky again"):
-            self._document.change_rain("Drop color from the sky", drop_color=None)
+        if imgui.button("From sky"):
+            self._document.change_rain("Drop color from sky", drop_color=None)
         imgui.end_disabled()
-        imgui.set_item_tooltip("Take the mean of the scene's own sky in linear light, as at first (eq. 3).")
+        imgui.set_item_tooltip("Take the mean of the scene's own sky in linear light, the default.")

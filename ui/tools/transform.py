@@ -1,5 +1,6 @@
-"""Tools "Move", "Level", "Set origin" and "Measure"."""
+"""Tools "Transform", "Level", "Set origin or ego start" and "Measure"."""
 
+import logging
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -21,6 +22,7 @@ from ..widgets.fields import button
 from ..widgets.text import inline_text
 from .base import Tool, clicked_point, drag_number
 
+logger = logging.getLogger("gsrain")
 Point = Float64[np.ndarray, "3"]
 
 
@@ -36,7 +38,7 @@ class _Drag(NamedTuple):
 class MoveTool(Tool):
     """Gizmo that moves, rotates and scales the selection, or the active layer or actor."""
 
-    name = "Move"
+    name = "Transform"
     icon = icons_fontawesome_6.ICON_FA_UP_DOWN_LEFT_RIGHT
     key = imgui.Key.t
     help = "Move, turn or scale what is selected, else what is picked in Layers. Ctrl snaps, Esc takes it back."
@@ -89,7 +91,7 @@ class MoveTool(Tool):
 
 
 _VERBS: dict[Handle, tuple[str, str]] = {
-    "translate": ("Move", "Drag an arrow or a square; Ctrl snaps to half a metre."),
+    "translate": ("Move", "Drag an arrow or a square; Ctrl snaps to half a meter."),
     "rotate": ("Turn", "Drag a ring; Ctrl snaps to 15 degrees."),
     "scale": ("Scale", "Drag a handle: all three axes scale alike; Ctrl snaps to tenths."),
 }
@@ -150,7 +152,7 @@ class LevelTool(Tool):
 class OriginTool(Tool):
     """Tool that sets the ego vehicle's start, the world's origin, or the ground height."""
 
-    name = "Set origin"
+    name = "Set origin or ego start"
     icon = icons_fontawesome_6.ICON_FA_LOCATION_CROSSHAIRS
     help = "Click a point of the ground: where the ego vehicle starts, or the world's origin, or the ground's height."
     meaning: Literal["Ego start", "World origin", "Ground height"] = "Ego start"
@@ -167,6 +169,7 @@ class OriginTool(Tool):
         point = clicked_point(self._document, canvas)
         if point is None:
             return False
+        logger.info("%s: x %.2f, y %.2f, z %.2f m", self.meaning, *point)
         if self.meaning == "Ego start":
             self._document.edit("Ego start", set_ego_start, point, self._viewport.navigation.heading)
         elif self.meaning == "Ground height":

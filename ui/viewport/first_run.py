@@ -21,9 +21,9 @@ from .notices import card
 _WIDTH_EM = 30.0
 _OFFERED = {
     "Open...": icons.ICON_FA_FOLDER_OPEN, "Open the built-in street": icons.ICON_FA_ROAD,
-    "Open a capture...": icons.ICON_FA_IMAGES, "What's new": icons.ICON_FA_GIFT,
+    "Open capture folder...": icons.ICON_FA_IMAGES, "What's new": icons.ICON_FA_GIFT,
 }  # fmt: skip
-_TITLES = {"Open a capture...": "From images: open a capture, then reconstruct it..."}
+_TITLES = {"Open capture folder...": "From images: open a capture, then reconstruct it..."}
 _MAX_RECENT = 6
 
 
@@ -57,21 +57,24 @@ _HINT_EM = 15.0
 _MARGIN = 10.0
 
 
-def draw_hint(editor: Editor, corner: ImVec2, height: int) -> None:
-    """Draw the three steps in the lower left corner; done ones have a check mark, and the last one ends the hint."""
+def draw_hint(editor: Editor, corner: ImVec2, left: float, height: int) -> ImVec2:
+    """Draw the three steps at the bottom, beginning at `left`; done ones have a check mark, the last one ends the hint.
+
+    Returns its right edge and its height with the margin below.
+    """
     document, files, jobs, preferences = editor.document, editor.files, editor.jobs, editor.preferences
     has_recorded = any(each.kind == "export" for each in jobs.all)
     steps = (
         ("Open a scene", "Open...", "Choose a file or folder of Gaussians.", files.source not in (None, "street")),
         ("Let it rain", "Moderate 5 mm/h", "Set 5 mm/h.", document.rain_now.intensity_mm_h > 0),
-        ("Record a video", "Record the timeline...", "Choose a place for the video.", has_recorded),
+        ("Record a video", "Record timeline...", "Choose a place for the video.", has_recorded),
     )
     if all(is_done for *_, is_done in steps):
         preferences.set(hint=False)
-        return
+        return ImVec2(0, 0)
     row, padding = imgui.get_frame_height_with_spacing(), imgui.get_style().window_padding
     tall = len(steps) * row + imgui.get_text_line_height_with_spacing() + 2 * padding.y
-    imgui.set_cursor_screen_pos(ImVec2(corner.x + _MARGIN, corner.y + height - tall - _MARGIN))
+    imgui.set_cursor_screen_pos(ImVec2(corner.x + left, corner.y + height - tall - _MARGIN))
     with card("hint", _HINT_EM * imgui.get_font_size(), imgui.Col_.popup_bg, 0.94, imgui.ChildFlags_.borders):
         imgui.text_disabled("First steps")
         imgui.same_line((_HINT_EM - 1.4) * imgui.get_font_size() - imgui.get_style().window_padding.x)
@@ -84,21 +87,25 @@ def draw_hint(editor: Editor, corner: ImVec2, height: int) -> None:
             keys = f" ({command.key_names})" if command.key_names else ""
             if button(f"{mark}  {title}###step {number}", help_text + keys, width=-1):
                 command.perform(editor)
+    return ImVec2(left + _HINT_EM * imgui.get_font_size(), tall + _MARGIN)
 
 
 # After an update, once
 
 
-def draw_update(editor: Editor, corner: ImVec2, height: int) -> None:
-    """Offer in the lower left corner what is new, until it was read or closed; newcomers see the first steps there."""
+def draw_update(editor: Editor, corner: ImVec2, left: float, height: int) -> ImVec2:
+    """Offer where the hint is what is new, until it was read or closed; newcomers see the first steps there.
+
+    Returns its right edge and its height with the margin below.
+    """
     preferences = editor.preferences
     if preferences.value.known_version == _version():
-        return
+        return ImVec2(0, 0)
     if preferences.value.hint:
         preferences.set(known_version=_version())
-        return
-    row, padding = imgui.get_frame_height_with_spacing(), imgui.get_style().window_padding
-    imgui.set_cursor_screen_pos(ImVec2(corner.x + _MARGIN, corner.y + height - 2 * row - 2 * padding.y - _MARGIN))
+        return ImVec2(0, 0)
+    tall = 2 * imgui.get_frame_height_with_spacing() + 2 * imgui.get_style().window_padding.y
+    imgui.set_cursor_screen_pos(ImVec2(corner.x + left, corner.y + height - tall - _MARGIN))
     with card("update", _HINT_EM * imgui.get_font_size(), imgui.Col_.popup_bg, 0.94, imgui.ChildFlags_.borders):
         imgui.text(f"GSRAIN was updated to {_version()}.")
         if is_read := button(f"{icons.ICON_FA_GIFT}  What's new###read news", "Show the changes in a few lines."):
@@ -106,6 +113,7 @@ def draw_update(editor: Editor, corner: ImVec2, height: int) -> None:
         imgui.same_line()
         if button("Close###close update", "Help > What's new shows them later.") or is_read:
             preferences.set(known_version=_version())
+    return ImVec2(left + _HINT_EM * imgui.get_font_size(), tall + _MARGIN)
 
 
 @cache
@@ -154,7 +162,9 @@ def draw_setup_bar(editor: Editor, corner: ImVec2, left: float, width: int) -> N
         if button(title, "Let it rain, which ends the set-up."):
             setup.rain()
         imgui.same_line()
-        if button("Close###close set-up", "Close this bar; the tools Level, Measure and Set origin do the same."):
+        if button(
+            "Close###close set-up", "Close this bar; the tools Level, Measure, and Set origin or ego start do the same."
+        ):
             setup.is_open = False
     imgui.pop_style_var()
 

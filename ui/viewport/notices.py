@@ -23,19 +23,27 @@ from ..widgets.fields import button
 from ..widgets.text import visible_name
 
 logger = logging.getLogger("gsrain")
-_WIDTH_EM = 34.0
+_WIDTH_EM, _MIN_WIDTH_EM = 34.0, 22.0
 _MARGIN = 10.0
 _MAX_ENDED = 3
 _PREPARING = "Preparing the renderer (first start only): about a minute, in which it does not rain yet."
 
 
-def draw_notices(editor: Editor, corner: ImVec2, width: int, height: int) -> None:
-    """Draw all notices: an animated bar in the middle; above the lower right corner the error, then ended jobs."""
-    wide = min(_WIDTH_EM * imgui.get_font_size(), width - 2 * _MARGIN)
+def draw_notices(editor: Editor, corner: ImVec2, tools: float, taken: ImVec2, width: int, height: int) -> None:
+    """Draw all notices: an animated bar in the middle; above the lower right corner the error, then ended jobs.
+
+    The tools, whose right edge is `tools`, and a card in the lower left corner, whose right edge and height are
+    `taken`, stay free.
+    """
+    em = imgui.get_font_size()
     if editor.busy is not None:
+        wide = min(_WIDTH_EM * em, width - 2 * _MARGIN)
         imgui.set_cursor_screen_pos(ImVec2(corner.x + (width - wide) / 2, corner.y + 0.4 * height))
         _draw_busy(editor.busy, wide)
-    left, bottom = corner.x + width - wide - _MARGIN, corner.y + height - _MARGIN
+    is_narrow = width - taken.x - 2 * _MARGIN < _MIN_WIDTH_EM * em  # no room next to the card
+    wide = min(_WIDTH_EM * em, width - 2 * _MARGIN - max(tools, 0.0 if is_narrow else taken.x))
+    left = corner.x + width - wide - _MARGIN
+    bottom = corner.y + height - _MARGIN - (taken.y if is_narrow else 0.0)
     if editor.viewport.is_preparing and editor.busy is None:
         bottom -= _height(_PREPARING, wide)
         imgui.set_cursor_screen_pos(ImVec2(left, bottom))

@@ -424,6 +424,7 @@ OVERLAYS: tuple[Overlay, ...] = (capture_overlay, matching_overlay, path_overlay
 
 _GRIP_PX = 6.0  # half its width
 _LABEL_PX = 8.0  # margin of the labels
+_SPIN_RAD_S, _SPINNER_RAD = 5.0, 4.5
 
 
 def draw_divider(
@@ -454,6 +455,14 @@ def draw_divider(
         paper = (0.0, 0.0, 0.0, 0.55)
         draw_card(label, ImVec2(at, corner.y + below + _LABEL_PX), paper=paper, padding=(5, 2), rounding=3.0)
     draw.pop_clip_rect()
+
+
+def draw_spinner(center: ImVec2) -> None:
+    """Draw a turning arc where a picture is still being drawn."""
+    draw, turn = imgui.get_window_draw_list(), _SPIN_RAD_S * imgui.get_time()
+    for ink, thickness in ((OUTLINE, 6.0), (KEY, 3.0)):
+        draw.path_arc_to(center, 0.8 * imgui.get_font_size(), turn, turn + _SPINNER_RAD)
+        draw.path_stroke(color(ink), thickness)
 
 
 def preview_side(

@@ -1,7 +1,6 @@
 """The viewport: image, navigation by mouse and keys, region outlines, and bars."""
 
 from collections.abc import Sequence
-from typing import get_args
 
 from imgui_bundle import ImVec2, ImVec4, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
@@ -9,11 +8,10 @@ from imgui_bundle import icons_fontawesome_6 as icons
 from gsrain_engine.editor.drawing.frame import DrawResult
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.rain_regions import region_outlines
-from gsrain_engine.editor.viewport.options import Split
 from gsrain_engine.editor.viewport_state import ViewportState
-from gsrain_engine.render.renderer import RenderMode
 
 from ..commands.keys import chord_name
+from ..commands.table import RENDER_MODE_HELP, SPLIT_HELP
 from ..folding import FoldedPanels
 from ..parts import bind_parts
 from ..tools import TOOLS
@@ -23,7 +21,7 @@ from ..widgets.fields import button
 from ..widgets.type_ahead import has_keys
 from .first_run import draw_hint, draw_setup_bar, draw_start_card, draw_update
 from .notices import card, draw_notices
-from .overlays import OVERLAYS, draw_divider, preview_side
+from .overlays import OVERLAYS, draw_divider, draw_spinner, preview_side
 
 _OUTLINE = {"streak region": ImVec4(0.45, 0.85, 1.0, 0.9), "haze region": ImVec4(1.0, 0.8, 0.45, 0.9)}
 
@@ -42,11 +40,14 @@ def viewport_panel(editor: Editor, tools: Sequence[Tool], picture: DrawResult, f
     if textures and at < width:
         imgui.image(imgui.ImTextureRef(textures[-1]), ImVec2(width - at, height), ImVec2(at / width, 0), ImVec2(1, 1))
     labels = preview_side(editor.viewport, editor.wet_look, corner, width, height)
-    if len(textures) == 2 and picture.frame is not None:
-        labels = picture.frame.panes[0].label, picture.frame.panes[1].label
+    panes = editor.split_panes if len(textures) < 2 or picture.frame is None else picture.frame.panes
+    if len(panes) == 2:
+        labels = panes[0].label, panes[1].label
     if labels is not None:
         below = 1.7 * imgui.get_frame_height() if editor.viewport.options.tool else 0.0  # the bar of a tool
         draw_divider(editor.viewport, labels, corner, width, height, below)
+        if len(textures) < len(panes):  # the last picture is on both sides
+            draw_spinner(ImVec2(corner.x + editor.viewport.options.divider * width / 2, corner.y + height / 2))
     imgui.set_cursor_screen_pos(corner)
     imgui.set_next_item_allow_overlap()
     flags = imgui.ButtonFlags_.mouse_button_left | imgui.ButtonFlags_.mouse_button_right
@@ -71,10 +72,10 @@ def viewport_panel(editor: Editor, tools: Sequence[Tool], picture: DrawResult, f
         draw_start_card(editor, corner, width, height)
     elif editor.scene_setup.is_open:
         draw_setup_bar(editor, corner, left, width)
+    taken = draw_update(editor, corner, left, height)
     if editor.preferences.value.hint:
-        draw_hint(editor, corner, height)
-    draw_update(editor, corner, height)
-    draw_notices(editor, corner, width, height)
+        taken = draw_hint(editor, corner, left, height)
+    draw_notices(editor, corner, left, taken, width, height)
     folded.draw(ImVec2(corner.x + width, corner.y), height)
     return width, height
 
@@ -192,11 +193,13 @@ def view_bar(editor: Editor) -> None:
             act()
         imgui.same_line()
     _, editor.viewport.options.follow_path = imgui.checkbox("Follow path", editor.viewport.options.follow_path)
-    imgui.set_item_tooltip("Follow the camera path: your own keyframes, else the ego vehicle's drive or a swing (V).")
+    imgui.set_item_tooltip(
+        "Follow the camera path: your own keyframes, else the recording vehicle's drive, or a swing (V)."
+    )
     imgui.same_line()
     for field, title, choices, width_em, help_text in (
-        ("look", "Mode", get_args(RenderMode), 9, "Render mode of the viewport."),
-        ("split", "Compare", get_args(Split), 11, "Compare two images side by side."),
+        ("look", "Mode", RENDER_MODE_HELP, 9, "Render mode of the viewport."),
+        ("split", "Compare", SPLIT_HELP, 11, "Compare two images side by side."),
     ):
         imgui.set_next_item_width(width_em * imgui.get_font_size())
         present = getattr(editor.viewport.options, field)
@@ -204,8 +207,10 @@ def view_bar(editor: Editor) -> None:
             for each in choices:
                 if imgui.selectable(each, each == present)[0]:
                     setattr(editor.viewport.options, field, each)
+                imgui.set_item_tooltip(choices[each])
             imgui.end_combo()
-        imgui.set_item_tooltip(help_text)
+        else:
+            imgui.set_item_tooltip(f"{help_text}\n{choices[present]}")
         imgui.same_line()
     words = f"{editor.playback.clock.time_s:.2f} s   Fly speed {editor.viewport.navigation.speed_m_s:.3g} m/s"
     if imgui.calc_text_size(words).x < imgui.get_content_region_avail().x:

@@ -183,6 +183,12 @@ def is_clicked(canvas: Canvas) -> bool:
 # Plots in panels
 
 _HEIGHT_EM, _LEGEND_EM = 12.0, 4.5
+_LINE_PX, _MARKER_PX = 1.25, 4.0
+
+
+def on_screen_px(pixels: float) -> float:
+    """Return a thickness in pixels of this screen, of which fine ones have more; ImPlot's own sizes don't follow it."""
+    return pixels * imgui.get_style().font_scale_dpi
 
 
 @contextmanager
@@ -213,12 +219,13 @@ _MARKERS = tuple(getattr(implot.Marker_, name) for name in ("circle", "square", 
 
 
 def line(label: str, x: Float64[np.ndarray, " n"], y: Float64[np.ndarray, " n"]) -> None:
-    implot.plot_line(visible_name(label), np.ascontiguousarray(x), np.ascontiguousarray(y))
+    spec = implot.Spec(line_weight=on_screen_px(_LINE_PX))
+    implot.plot_line(visible_name(label), np.ascontiguousarray(x), np.ascontiguousarray(y), spec=spec)
 
 
 def points(label: str, x: Float64[np.ndarray, " n"], y: Float64[np.ndarray, " n"], series: int = 0) -> None:
     """Draw points with the marker of a series, by its number; ImPlot's own choice changes from frame to frame."""
-    spec = implot.Spec(marker=_MARKERS[series % len(_MARKERS)])
+    spec = implot.Spec(marker=_MARKERS[series % len(_MARKERS)], marker_size=on_screen_px(_MARKER_PX))
     implot.plot_scatter(visible_name(label), np.ascontiguousarray(x), np.ascontiguousarray(y), spec=spec)
 
 

@@ -22,20 +22,24 @@ from .type_ahead import combo_box
 _LABEL_WIDTH = 0.42  # share of a panel's width for labels; longer ones take more
 
 
-def field_label(name: str, owner: type[msgspec.Struct] = RainSettings) -> Field:
-    """Draw a field's title with its help as tooltip, and move to the position of its widget; returns its metadata."""
+def field_label(name: str, owner: type[msgspec.Struct] = RainSettings, *, label: str = "") -> Field:
+    """Draw a field's title with its help as tooltip, and move to the position of its widget; returns its metadata.
+
+    `label` replaces its title.
+    """
     info = field_of(owner, name)
-    plain_label(info.label, info.help)
+    plain_label(label or info.label, info.help)
     return info
 
 
 def plain_label(text: str, help_text: str) -> None:
     """Draw a label with a tooltip, and move to the position of its widget."""
+    indent = imgui.get_cursor_pos_x() - imgui.get_cursor_start_pos().x
     imgui.align_text_to_frame_padding()
     imgui.text(text)
     if help_text:
         imgui.set_item_tooltip(help_text)
-    width = imgui.calc_text_size(text).x + imgui.get_font_size()
+    width = indent + imgui.calc_text_size(text).x + imgui.get_font_size()
     imgui.same_line(max(_LABEL_WIDTH * imgui.get_window_width(), width))
     imgui.set_next_item_width(-1)
 
@@ -49,9 +53,14 @@ def rain_field(document: Document, name: str) -> None:
         {bool: toggle, int: integer, float: slider}[info.kind](document, name)
 
 
-def slider(document: Document, name: str, *, high: float | None = None, beside_px: float = 0.0) -> None:
-    """Edit the current value of a number between its bounds; one drag is one undo step. `beside_px` stays free."""
-    info, value = field_label(name), getattr(document.rain_now, name)
+def slider(
+    document: Document, name: str, *, high: float | None = None, beside_px: float = 0.0, label: str = ""
+) -> None:
+    """Edit the current value of a number between its bounds; one drag is one undo step.
+
+    `beside_px` stays free; `label` replaces the field's own.
+    """
+    info, value = field_label(name, label=label), getattr(document.rain_now, name)
     if info.none is not None:
         switched, value = _optional_toggle(name, info, value)
         if switched:
@@ -92,7 +101,7 @@ def integer(document: Document, name: str) -> None:
 def choice(document: Document, name: str) -> None:
     info = field_label(name)
     present = info.choices.index(getattr(document.rain, name))
-    changed, picked = combo_box(f"##{name}", present, list(info.choices))
+    changed, picked = combo_box(f"##{name}", present, [info.choice_title(each) for each in info.choices])
     if changed:
         document.change_rain(info.title, **{name: info.choices[picked]})
 
@@ -105,10 +114,27 @@ def toggle(document: Document, name: str) -> None:
         document.change_rain(f"{info.title} {'on' if value else 'off'}", **{name: value})
 
 
+def toggles(document: Document, *names: str) -> None:
+    """Draw check boxes next to each other as far as there is room."""
+    for number, name in enumerate(names):
+        if number > 0:
+            same_line_if_fits(field_of(RainSettings, name).title, imgui.get_frame_height())
+        toggle(document, name)
+
+
+def same_line_if_fits(label: str, more_px: float = 0.0) -> None:
+    """Go on in the same line if a button with this label, or an item so many pixels wider, has room there."""
+    style = imgui.get_style()
+    width = imgui.calc_text_size(label, hide_text_after_double_hash=True).x + 2 * style.frame_padding.x + more_px
+    right = imgui.get_cursor_screen_pos().x + imgui.get_content_region_avail().x
+    if imgui.get_item_rect_max().x + style.item_spacing.x + width < right:
+        imgui.same_line()
+
+
 def box(document: Document, name: str) -> None:
     """Edit the lower and upper corner of a region in meters; corners that would invert it are ignored."""
     info, region = field_of(RainSettings, name), getattr(document.rain, name)
-    for corner, words in (("minimum_m", "from"), ("maximum_m", "to")):
+    for corner, words in (("minimum_m", "From"), ("maximum_m", "To")):
         plain_label(f"{words} x, y, z (m)", f"{info.help} In the ego's frame: x forward, y left, z up.")
         changed, value = imgui.drag_float3(f"##{name}.{corner}", list(getattr(region, corner)), 0.05, -200, 200, "%.2f")
         if changed:
@@ -142,7 +168,9 @@ def edit_field(settings: _Settings, name: str, *, label: str | None = None, step
                 return msgspec.structs.replace(settings, **{name: value}) if switched else settings
         if info.choices:
             choices = (None, *info.choices) if info.is_optional else info.choices
-            names = [str(info.extra.get("none", "none")) if each is None else each for each in choices]
+            names = [
+                str(info.extra.get("none", "none")) if each is None else info.choice_title(each) for each in choices
+            ]
             changed, at = combo_box(f"##{name}", choices.index(value), names)
             value = choices[at]
         elif isinstance(value, int):
@@ -178,7 +206,7 @@ _KEYED = ImVec4(0.95, 0.66, 0.25, 1.0)
 _HERE = ImVec4(1.0, 0.93, 0.45, 1.0)
 _TITLES = {
     "intensity_mm_h": "intensity", "wind_m_s": "wind", "exposure_s": "exposure", "wetness": "wetness",
-    "lamp_gain": "lamp light",
+    "lamp_gain": "lamp brightness",
 }  # fmt: skip
 
 
@@ -301,14 +329,14 @@ def button(
     why_not: str | None = None,
     is_on: bool = False,
 ) -> bool:
-    """Draw a button; returns True if clicked. A reason `why_not` disables it and replaces the tooltip."""
+    """Draw a button; returns True if clicked. A reason `why_not` disables it and is added to the tooltip."""
     if is_on:
         imgui.push_style_color(imgui.Col_.button, imgui.get_style_color_vec4(imgui.Col_.button_active))
     with disabled(not enabled or why_not is not None):
         clicked = imgui.button(text, ImVec2(width, height))
     if is_on:
         imgui.pop_style_color()
-    imgui.set_item_tooltip(why_not or help_text)
+    imgui.set_item_tooltip(help_text if why_not is None else f"{help_text}\n{why_not}")
     return clicked
 
 

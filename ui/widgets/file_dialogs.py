@@ -6,7 +6,7 @@ import re
 import shutil
 import threading
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -157,12 +157,12 @@ class _FileDialogs:
             return
         request = self._requests[0]
         if self._browser is None and self._desktop is None:
-            folder = self._start(request)
+            opened = [path.parent for path in recent]
+            folder = starting_folder(request.title, self._folders, opened)
             if use_desktop and desktop_dialog_program() is not None:
                 self._desktop = _desktop_dialog(request, folder)
             else:
-                used = [path.parent for path in recent] + list(self._folders.values())
-                self._browser = FileBrowser(request, folder, used)
+                self._browser = FileBrowser(request, folder, opened + list(self._folders.values()))
         chosen = self._browser.draw() if self._browser is not None else _desktop_answer(request, self._desktop)
         if chosen is None:
             return
@@ -175,15 +175,21 @@ class _FileDialogs:
             except OSError as error:
                 status.report(error)
 
-    def _start(self, request: FileRequest) -> Path:
-        """Folder in which a dialog begins: its own last one, else the last one of all, else the working directory."""
-        last = self._folders.get(request.title, self._folders.get("", None))
-        if last is not None and last.is_dir():
-            return last
-        try:
-            return Path.cwd()
-        except OSError:  # it was removed
-            return Path.home()
+
+def starting_folder(title: str, last: Mapping[str, Path], opened: Sequence[Path]) -> Path:
+    """Return the folder in which a dialog begins: its own last one, else the last one of all.
+
+    `last` are these by title; that of "" was used last of all. The first dialog begins in the first of the folders
+    `opened` from lately, or in the working directory.
+    """
+    own = [last[each] for each in (title, "") if each in last]
+    for folder in (*own[:1], *opened[:1]):
+        if folder.is_dir():
+            return folder
+    try:
+        return Path.cwd()
+    except OSError:  # it was removed
+        return Path.home()
 
 
 _dialogs = _FileDialogs()

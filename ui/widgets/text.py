@@ -10,17 +10,18 @@ from imgui_bundle import imgui
 from gsrain_engine.safe_io.text_files import escape_invisible
 
 
-def readings(table: str, rows: Iterable[tuple[str, str, str]]) -> None:
+def readings(table: str, rows: Iterable[tuple[str, str, str]], *, faint: bool = False) -> None:
     """Draw a table of names and values; the third of each row is the tooltip of its name. `table` is its label."""
+    text = imgui.text_disabled if faint else imgui.text
     if not imgui.begin_table(table, 2, imgui.TableFlags_.row_bg | imgui.TableFlags_.sizing_stretch_prop):
         return
     for name, value, help_text in rows:
         imgui.table_next_row()
         imgui.table_next_column()
-        imgui.text(name)
+        text(name)
         imgui.set_item_tooltip(help_text)
         imgui.table_next_column()
-        imgui.text(value)
+        text(value)
     imgui.end_table()
 
 

@@ -169,7 +169,7 @@ def _named_damages(path: Path) -> Generator[None]:
         raise
     except (*damages, ValueError, KeyError, OSError, MemoryError, RuntimeError) as error:
         cut_off = type(error).__name__ == "EndOfFile" or isinstance(error, struct.error)
-        why = "it is cut off" if cut_off else str(error) or type(error).__name__
+        why = "it is cut off; mcap recover writes one that is not" if cut_off else str(error) or type(error).__name__
         raise CaptureError(f"{path}: not an MCAP file that can be read to its end ({why})") from None
 
 

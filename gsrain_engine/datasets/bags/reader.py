@@ -55,6 +55,8 @@ class BagRecording:
     clouds: Mapping[MessageKey, LidarSweep]
     untouched: Mapping[Topic, str]
     """Topics of cameras and lidars whose messages are not read, with the reasons."""
+    others: tuple[Topic, ...]
+    """Topics without images and clouds."""
 
 
 def read_bag(path: Path) -> Capture:
@@ -91,6 +93,7 @@ class _Contents:
     """Size of a topic's first image."""
     clouds: dict[Topic, list[_Recorded]] = field(default_factory=dict[Topic, list[_Recorded]])
     untouched: dict[Topic, str] = field(default_factory=dict[Topic, str])
+    others: set[Topic] = field(default_factory=set[Topic])
     faults: dict[Topic, list[str]] = field(default_factory=lambda: defaultdict[Topic, list[str]](list))
     problems: list[str] = field(default_factory=list[str])
     odometry: list[BagMessage] = field(default_factory=list[BagMessage])
@@ -100,6 +103,8 @@ class _Contents:
             try:
                 for message in container.messages():
                     kind = kind_of(message.topic)
+                    if kind not in ("image", "cloud"):
+                        self.others.add(message.topic)
                     if kind is None:
                         self._leave(message.topic)
                         continue
@@ -253,7 +258,8 @@ class _Reader:
             if sweep.source is not None and isinstance(sweep.source.key, MessageKey)
         }
         shown = replace(capture, views=tuple(view for view in capture if view.name in primary))
-        return BagRecording(shown, self.contents.containers, images, clouds, self.untouched)
+        others = sorted(self.contents.others - self.untouched.keys(), key=lambda topic: topic.name)
+        return BagRecording(shown, self.contents.containers, images, clouds, self.untouched, tuple(others))
 
     def _chain(self, frame: str) -> list[str]:
         try:

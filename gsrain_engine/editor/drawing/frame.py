@@ -111,6 +111,13 @@ class DrawResult:
     problems: list[str] = field(default_factory=list[str])
     """Errors that did not prevent an image, such as a screenshot that can't be saved."""
 
+    @property
+    def has_news(self) -> bool:
+        """True if anything but the present textures has been drawn, found, or is still to come."""
+        found = (self.drawn, self.sky, self.picked_color)
+        is_open = self.is_catching_up or self.has_screenshot or self.is_pending_ready or not self.is_settled
+        return is_open or bool(self.problems) or any(each is not None for each in found)
+
 
 # Camera rig
 

@@ -149,13 +149,13 @@ class LiveView:
             self._sample_sky(frame, result)
         sky = (result.sky or frame.sky).at(frame.overcast)
         # The last pane, on the right, is the document itself: statistics are those of its image.
-        started, has_drawn, panes = time.perf_counter(), False, self._panes[-self._pane_count :]
-        for side, pane in zip(frame.panes, panes, strict=True):
-            has_drawn = self._draw_pane(frame, side, pane, sky)
-        if self._cpu is not None and (has_drawn or not self._can_draw) and frame.scene.gaussian_count:
+        started, panes = time.perf_counter(), self._panes[-self._pane_count :]
+        drawn = [self._draw_pane(frame, side, pane, sky) for side, pane in zip(frame.panes, panes, strict=True)]
+        if self._cpu is not None and (drawn[-1] or not self._can_draw) and frame.scene.gaussian_count:
             self._cpu.compile()  # after the first image, which compiling would delay
-        if has_drawn:
+        if any(drawn):
             self._finish()
+        if drawn[-1]:
             result.drawn = self._measured(frame, 1000 * (time.perf_counter() - started) - self._shared_ms(frame, panes))
         if frame.screenshot is not None:
             self._save_screenshot(frame.screenshot, frame.divider, result)
@@ -476,6 +476,8 @@ class SkyColorSampler:
         self._progress: Generator[None, None, SkyColor] | None = None
         self._is_full = False
         """True if the sample in progress draws all Gaussians."""
+        self._skyless: str | None = None
+        """Scene of which it was logged that it shows no sky."""
         self.is_through = True
         """True if no sample is pending, except for an exact one while things move."""
 
@@ -511,7 +513,8 @@ class SkyColorSampler:
                 break
             if not to_the_end:
                 return None
-        if state and not sky.found:  # a scene that is still loading shows nothing
+        if state and not sky.found and scene.name != self._skyless:  # a scene that is still loading shows nothing
+            self._skyless = scene.name
             logger.info("The scene shows no sky: drops take the color of an overcast one")
         self._sampled, self.is_exact, self._progress = state, self._is_full, None
         return sky

@@ -53,7 +53,7 @@ class PictureThread:
     def __init__(
         self, context: PictureContext, backend: WindowBackend, on_drawn: Callable[[], object] = lambda: None
     ) -> None:
-        """`on_drawn` is called on any thread whenever `take` has an answer."""
+        """`on_drawn` is called on any thread whenever `take` has something new: a window at rest sleeps otherwise."""
         self._context, self._on_drawn = context, on_drawn
         self._backend: WindowBackend = backend
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="pictures", initializer=lower_thread_priority)
@@ -96,10 +96,11 @@ class PictureThread:
         self._last, self._may_abandon = picture.result, True
         return picture
 
-    def wait(self) -> None:
-        """Wait until `take` has an answer."""
+    def wait(self, timeout_s: float | None = None) -> bool:
+        """Wait until `take` has an answer, or for a time; return whether it has one."""
         if self._drawing is not None:
-            wait([self._drawing])
+            wait([self._drawing], timeout_s)
+        return self._drawing is not None and self._drawing.done()
 
     def begin(self, frame: RenderInput, mosaic: MosaicInput | None) -> None:
         """Begin to draw a picture, after the last one was taken."""
@@ -107,7 +108,7 @@ class PictureThread:
         self._frame = frame
         self._is_abandoned.clear()
         self._drawing = self._thread.submit(self._draw, frame, mosaic)
-        self._drawing.add_done_callback(lambda _: self._on_drawn())
+        self._drawing.add_done_callback(self._announce)
 
     def reconsider(self, view: RenderView, panes: Sequence[SplitPane], mode: RenderMode) -> None:
         """Give up the picture that is being drawn if the present one has another view, scene, rain or mode.
@@ -131,6 +132,12 @@ class PictureThread:
             self._is_closed = True
             self._thread.submit(self._context.leave)
             self._thread.shutdown()
+
+    def _announce(self, drawing: Future[Picture | None]) -> None:
+        """Call `on_drawn` unless a picture is like the last one."""
+        picture = drawing.result() if drawing.exception() is None else None
+        if picture is None or picture.result.has_news or picture.result.textures != self._last.textures:
+            self._on_drawn()
 
     # On the thread
 

@@ -36,7 +36,7 @@ class FloaterRules(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     isolation_above: Annotated[
         float,
         Meta(
-            ge=0, le=1000, title="Isolation above",
+            ge=0, le=1000, title="Isolation above", extra={"unit": "x median"},
             description="Those farther from their neighbors than so many times the median are floaters; 0 turns the "
             "rule off.",
         ),

@@ -20,6 +20,7 @@ _FLAT = 0.6  # maximum ratio of the thinnest axis of a flat Gaussian to its midd
 _TOLERANCE = 0.008  # maximum distance of ground points from the plane, as a share of the scene's extent
 _BELOW = 2.0  # votes that a plane loses per sample below it: a roof has more of the scene below it than lies on it
 _FEWEST_SHARE = 0.05
+_PART = 0.2  # share of a plane that is ground in any case; less above much else is part of an object, as soil in a pot
 _PREFERENCE = 1.5  # of the present axis over others, whose walls are large, too
 _CAMERA_HEIGHT_M = 1.5
 
@@ -97,7 +98,7 @@ def guess_orientation(scene: Scene) -> Scene:
     share of what lies below it. Where the unit is assumed and the scene has a camera path above the ground, that
     becomes 1.5 m high, as of a person or a car.
 
-    Raises `ValueError` if there is no ground below any axis.
+    Raises `ValueError` if there is no ground below any axis, as below an object that was cut out.
     """
     candidates: list[tuple[float, Scene]] = []
     for turned in (scene, *(oriented(scene, axis) for axis in get_args(Axis))):
@@ -106,9 +107,12 @@ def guess_orientation(scene: Scene) -> Scene:
         except ValueError:
             continue
         score = max(ground.share - _BELOW * ground.share_below, 0.0)
-        candidates.append((_PREFERENCE * score if turned is scene else score, turned))
+        if score > 0 or ground.share > _PART:
+            candidates.append((_PREFERENCE * score if turned is scene else score, turned))
     if not candidates:
-        raise ValueError("No ground was found below any axis: level the scene by three points (tool Level).")
+        raise ValueError(
+            "No ground was found below any axis: choose Up and Ground, or level by three points (tool Level)."
+        )
     leveled = level_from_ground(max(candidates, key=lambda each: each[0])[1])
     try:
         return set_camera_height(leveled, _CAMERA_HEIGHT_M) if scene.unit_is_assumed else leveled

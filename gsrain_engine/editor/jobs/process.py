@@ -36,6 +36,7 @@ Work = Callable[..., Iterator[Progress]]
 
 _MAX_MESSAGE_BYTES = 1 << 24
 _OUT_OF_MEMORY = "the machine ran out of memory: close other programs, or work with smaller images or fewer Gaussians"
+_ENDED = "the worker was ended from outside (SIGTERM)"
 
 
 class WorkerProcess:
@@ -90,9 +91,10 @@ class WorkerProcess:
                     self.state = "finished"
                 else:
                     self._fail(*message)
-        except (EOFError, OSError):
+        except (EOFError, OSError) as error:
             self._process.join(timeout=1.0)
-            self._fail(_death(self._process.exitcode), None)
+            details = None if isinstance(error, EOFError) else traceback.format_exc()
+            self._fail(_death(self._process.exitcode), details)
         self._step = steps[-1] if steps else self._step
         if (pixels := self.preview.take()) is not None:
             self._pixels = pixels
@@ -124,7 +126,9 @@ def _death(exit_code: int | None) -> str:
     """Describe the end of a process that sent no error."""
     if exit_code is not None and exit_code == -getattr(signal, "SIGKILL", 9):
         return f"the worker was killed: by hand, or because {_OUT_OF_MEMORY}"
-    if exit_code is None or exit_code >= 0:
+    if exit_code is None:
+        return "the pipe to the worker broke, though its process goes on"
+    if exit_code >= 0:
         return f"the worker died (exit code {exit_code})"
     try:
         return f"the worker died of {signal.Signals(-exit_code).name}"
@@ -144,10 +148,13 @@ def _run(messages: Connection, picture_name: str, work: Work, arguments: tuple[A
                 picture.write(progress.preview)
             messages.send(progress._replace(preview=None))
         messages.send(None)
-    except BrokenPipeError:
-        pass  # the window closed the pipe
+    except SystemExit:
+        with suppress(BrokenPipeError):
+            messages.send((_ENDED, traceback.format_exc()))
+        raise
     except Exception as error:
-        messages.send((_sentence(error), traceback.format_exc()))
+        with suppress(BrokenPipeError):  # the window has closed the pipe
+            messages.send((_sentence(error), traceback.format_exc()))
     finally:
         picture.close()
         messages.close()

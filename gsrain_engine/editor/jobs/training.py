@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 _STARTING = Progress(0.0, "Starting")
 
-# Job "Train the transfer": fine-tuning, with LPIPS if weights are available
+# Job "Train transfer": fine-tuning, with LPIPS if weights are available
 
 _LOSS_PLOTS = {
     "Cycle": ("cycle_clear", "cycle_rainy", "identity_clear", "identity_rainy"),
@@ -43,7 +43,7 @@ _LOSS_PLOTS = {
 def finetune_job(task: FinetuneTask) -> Job[Path]:
     """Create a job whose result is the file of the weights. After cancelling, a job can resume from its folder."""
     return Job(
-        "fine-tune", "Train the transfer", train_transfer, lambda _: task.weights, lambda _: (task,),
+        "fine-tune", "Train transfer", train_transfer, lambda _: task.weights, lambda _: (task,),
         ends_with_scene=False, output=task.output, progress=_STARTING, plots=_LOSS_PLOTS,
     )  # fmt: skip
 

@@ -179,11 +179,13 @@ class AdaptiveQuality:
         """True if the full-quality image is still due although nothing moves."""
         return 0 < self._rested_s < SETTLED_S and not self.detail.is_exact
 
-    def observe(self, *, moving: bool, real_s: float, stands: bool = False) -> QualityLevel:
+    def observe(self, *, moving: bool, real_s: float, stands: bool = False, edited: bool = False) -> QualityLevel:
         """Record whether the picture changes since the last one, `real_s` ago; return the quality to draw.
 
-        `stands` is true if only rain and road users change it, and they can be drawn over a backdrop.
+        `stands` is true if only rain and road users change it, and they can be drawn over a backdrop. `edited` is true
+        if what it shows was changed: where a full picture takes long, a fast one shows the change first.
         """
+        moving |= edited and self._full_ms > _LONG_MS
         self._rested_s = 0.0 if moving else self._rested_s + real_s
         self._is_coarse |= moving
         self._stood_s = self._stood_s + real_s if stands else 0.0

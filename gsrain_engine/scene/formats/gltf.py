@@ -4,12 +4,15 @@ glTF has y up and z toward the front, the files of 3DGS y down and z forward: ha
 Gaussians that a draft extension compresses as SPZ are read, and cameras with their animation as camera paths.
 """
 
+import base64
+import binascii
 import re
 import struct
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, TypeVar
+from urllib.parse import unquote
 
 import msgspec
 import numpy as np
@@ -178,8 +181,8 @@ def read_glb(path: Path) -> Gaussians:
     return _GlbReader(path, read_file(path)).read()
 
 
-def read_glb_camera_path(path: Path) -> CameraPath:
-    """Read the first animated camera of a binary glTF file, or its first camera, as a path in meters and PLY axes.
+def read_gltf_camera_path(path: Path) -> CameraPath:
+    """Read the first animated camera of a glTF file (.glb, .gltf), or its first one, as a path in meters and PLY axes.
 
     Keyframes are at all times of the samples of the camera's node and of its parents, and the path is straight between
     them. Raises `SceneFormatError` if the file is damaged, has no perspective camera, or splines between its samples.
@@ -194,12 +197,17 @@ def read_glb_camera_path(path: Path) -> CameraPath:
         raise SceneFormatError(path, f"glTF: {error}") from None
 
 
+GLTF = (".glb", ".gltf")
+"""Suffixes of files with cameras. Gaussians are read from the first only."""
+
+
 class _GlbReader:
-    """One file: its description and its binary chunk."""
+    """One file: its description and its binary chunk, or of a `.gltf` the first buffer."""
 
     def __init__(self, path: Path, data: bytes) -> None:
         self.path = path
-        text, self.binary = _chunks(path, data)
+        is_text = path.suffix.lower() == ".gltf"
+        text, self.binary = (data, memoryview(b"")) if is_text else _chunks(path, data)
         try:
             self.document = msgspec.json.decode(text, type=_GltfDocument)
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
@@ -207,6 +215,10 @@ class _GlbReader:
         unknown = [name for name in self.document.extensions_required if name not in _READABLE]
         if unknown:
             raise SceneFormatError(path, f"glTF: it requires {', '.join(unknown)[:80]}, which is not read")
+        self.uri: str | None = None
+        if is_text and self.document.buffers:
+            self.uri = self.document.buffers[0].uri
+            self.binary = memoryview(_outer_buffer(path, self.uri or ""))
 
     def read(self) -> Gaussians:
         placed = [*self._placed()]
@@ -399,8 +411,8 @@ class _GlbReader:
     def _view(self, index: int) -> memoryview:
         view = self._at(self.document.buffer_views, index, "bufferViews")
         buffer = self._at(self.document.buffers, view.buffer, "buffers")
-        if view.buffer != 0 or buffer.uri is not None:
-            raise SceneFormatError(self.path, f"glTF: buffer {view.buffer} must be the file's own binary chunk")
+        if view.buffer != 0 or buffer.uri != self.uri:
+            raise SceneFormatError(self.path, f"glTF: buffer {view.buffer} must be the file's own, the first")
         end = view.byte_offset + view.byte_length
         if end > min(len(self.binary), buffer.byte_length):
             told = f"bufferView {index} ends at byte {end}, the binary chunk has {len(self.binary)}: it is cut off"
@@ -433,6 +445,22 @@ def _chunks(path: Path, data: bytes) -> tuple[memoryview, memoryview]:
             chunks[kind] = memoryview(data)[start : start + length]
         start += length
     return chunks[_JSON], chunks[_BINARY]
+
+
+def _outer_buffer(path: Path, uri: str) -> bytes:
+    """Bytes of a buffer that stands in the description itself, or in a file of the same folder."""
+    head, _, coded = uri.partition(",")
+    try:
+        if head.startswith("data:"):
+            return base64.b64decode(coded, validate=True)
+        file = path.parent / unquote(uri)
+        if not uri or not file.resolve().is_relative_to(path.parent.resolve()):
+            raise SceneFormatError(path, f"glTF: its buffer {uri[:80]!r} must be a file next to it")
+        return read_file(file)
+    except OSError as error:
+        raise SceneFormatError(path, f"glTF: its buffer {uri[:80]!r} can't be read: {error.strerror}") from None
+    except binascii.Error:
+        raise SceneFormatError(path, "glTF: its buffer is no base64") from None
 
 
 def _node_matrix(node: _Node) -> Float64[np.ndarray, "4 4"]:

@@ -8,7 +8,8 @@ from typing import Any
 import cv2
 import msgspec
 import numpy as np
-from jaxtyping import Float32, Int64, UInt8
+import scipy
+from jaxtyping import Float32, Float64, Int64, UInt8
 
 from ...scene.files import whole_file
 from ...scene.gaussians import SH_C0
@@ -18,11 +19,15 @@ from ..metrics.collisions import gaps_m, times_to_collision_s
 from ..rollout import CameraImage, Rollout, RolloutStep
 
 MOST_POINTS = 150_000
-"""Points that stand for a scene: its Gaussians with the most visible area."""
+"""Points that stand for a scene: its Gaussians near the drive with the most visible area."""
+
+_NEAR_M = 80.0  # of the ego vehicle's places: what is farther would be in the way of the view
+_MAX_RADIUS_M = 0.25  # of a point
 
 _TIMELINE = "time"
 _JPEG_QUALITY = 90
 _ABOVE_GROUND_M = 0.05
+_EYE_M, _EYE_TARGET_M = (-12.0, 0.0, 6.0), (15.0, 0.0, 0.0)  # in the frame of the ego vehicle at the start
 _EGO_COLOR, _USER_COLOR = (31, 115, 191, 140), (217, 140, 51, 190)
 _HIT_COLOR, _PLAN_COLOR, _ROUTE_COLOR = (219, 31, 38, 230), (38, 191, 89, 255), (153, 163, 173, 204)
 
@@ -51,7 +56,7 @@ def write_rollout_rerun(
         stream = rerun.RecordingStream("gsrain", recording_id=name)
         stream.set_log_time_enabled(False)
         stream.set_log_tick_enabled(False)
-        stream.save(partial, default_blueprint=_layout(import_module("rerun.blueprint")))
+        stream.save(partial, default_blueprint=_layout(import_module("rerun.blueprint"), rollout))
         try:
             _RerunWriter(rerun, stream, rollout).write(scene, route, iter(pictures))
             stream.flush()
@@ -59,8 +64,8 @@ def write_rollout_rerun(
             stream.disconnect()
 
 
-def _layout(blueprint: Any) -> Any:
-    """Camera images and plots next to the scene in three dimensions."""
+def _layout(blueprint: Any, rollout: Rollout) -> Any:
+    """Camera images and plots next to the scene, seen from behind the ego vehicle's first place."""
     motion, ahead = ["motion/speed_m_s", "motion/acceleration_m_s2"], ["motion/ttc_s", "motion/gap_m"]
     plots = blueprint.Vertical(
         blueprint.TimeSeriesView(origin="motion", contents=motion, name="Motion"),
@@ -68,10 +73,13 @@ def _layout(blueprint: Any) -> Any:
         blueprint.TextLogView(origin="log", name="Log"),
     )
     left = blueprint.Vertical(blueprint.Spatial2DView(origin="world/camera", name="Camera"), plots)
-    return blueprint.Blueprint(
-        blueprint.Horizontal(left, blueprint.Spatial3DView(origin="world", name="World"), column_shares=[2, 3]),
-        collapse_panels=True,
+    start = rollout.steps[0].ego
+    eye, target = (
+        (*start.state.to_world(np.array([place[:2]]))[0], start.z_m + place[2]) for place in (_EYE_M, _EYE_TARGET_M)
     )
+    controls = blueprint.EyeControls3D(position=eye, look_target=target, eye_up=(0, 0, 1))
+    world = blueprint.Spatial3DView(origin="world", name="World", eye_controls=controls)
+    return blueprint.Blueprint(blueprint.Horizontal(left, world, column_shares=[2, 3]), collapse_panels=True)
 
 
 class _RerunWriter:
@@ -84,7 +92,8 @@ class _RerunWriter:
         about = msgspec.json.format(msgspec.json.encode(rollout.scenario, order="sorted")).decode()
         self._log("scenario", rerun.TextDocument(about, media_type="application/json"), static=True)
         if scene is not None:
-            points, colors, radii = scene_points(scene, float(rollout.scenario.get("start_s", 0.0)))
+            places = np.array([(step.ego.x_m, step.ego.y_m) for step in rollout.steps])
+            points, colors, radii = scene_points(scene, float(rollout.scenario.get("start_s", 0.0)), places)
             self._log("world/scene", rerun.Points3D(points, colors=colors, radii=radii), static=True)
         if route is not None:
             height = np.full((len(route.points), 1), rollout.steps[0].ego.z_m + _ABOVE_GROUND_M / 2)
@@ -164,9 +173,9 @@ class _RerunWriter:
 
 
 def scene_points(
-    scene: Scene, time_s: float
+    scene: Scene, time_s: float, places_m: Float64[np.ndarray, "p 2"]
 ) -> tuple[Float32[np.ndarray, "n 3"], UInt8[np.ndarray, "n 4"], Float32[np.ndarray, " n"]]:
-    """Centers (m, world), colors (RGBA) and radii (m) of a scene's background at a time, at most `MOST_POINTS`.
+    """Centers (m, world), colors (RGBA) and radii (m) of a scene's background near places, at most `MOST_POINTS`.
 
     Chosen by visible area: opacity times the product of the two larger scales. Sky and moving actors are left out.
     """
@@ -184,9 +193,12 @@ def scene_points(
         [each.means @ part.to_world[:3, :3].T + part.to_world[:3, 3] for each, part in zip(kept, parts, strict=True)]
     )
     areas = np.concatenate([each.opacities for each in kept]) * scales[:, 1] * scales[:, 2]
-    chosen: Int64[np.ndarray, " m"] = np.sort(np.argsort(-areas, kind="stable")[:MOST_POINTS])
+    distances, _ = scipy.spatial.cKDTree(places_m).query(means[:, :2], distance_upper_bound=_NEAR_M)
+    areas[~np.isfinite(distances)] = 0
+    ordered = np.argsort(-areas, kind="stable")[: min(MOST_POINTS, np.count_nonzero(areas))]
+    chosen: Int64[np.ndarray, " m"] = np.sort(ordered)
     base = np.concatenate([each.sh[:, 0] for each in kept])[chosen] * SH_C0 + 0.5
     colors = np.clip(np.rint(255 * base), 0, 255).astype(np.uint8)
     rgba = np.concatenate([colors, np.full((len(colors), 1), 255, np.uint8)], axis=1)
-    radii = np.sqrt(scales[chosen, 1] * scales[chosen, 2]).astype(np.float32)
+    radii = np.minimum(np.sqrt(scales[chosen, 1] * scales[chosen, 2]), _MAX_RADIUS_M).astype(np.float32)
     return means[chosen].astype(np.float32), rgba, radii

@@ -142,6 +142,11 @@ class ScoredRun(NamedTuple):
         """Measure a roll-out."""
         return cls(measure_drive(rollout, occupied, drivable), rollout)
 
+    def __repr__(self) -> str:
+        of = self.metrics
+        about = f"{of.agent} in {of.intensity_mm_h:g} mm/h, {of.steps} steps, end: {of.end}"
+        return f"<gsrain.Run of {of.scenario}: {about}>"
+
     def save(self, path: Path | str) -> None:
         """Write the roll-out as JSON lines, which the editor plays; raises `ValueError` without a roll-out."""
         if self.rollout is None:

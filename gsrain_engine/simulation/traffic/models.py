@@ -25,15 +25,15 @@ class IntelligentDriver(
 
     desired_speed_m_s: Annotated[float, Meta(gt=0, le=60, title="Desired speed", extra={"unit": "m/s"})] = 15.0
     least_gap_m: Annotated[
-        float, Meta(ge=0, le=50, title="Least gap", description="At a standstill.", extra={"unit": "m"})
+        float, Meta(ge=0, le=50, title="Min. gap", description="At a standstill.", extra={"unit": "m"})
     ] = 2.0
     headway_s: Annotated[float, Meta(ge=0, le=10, title="Headway", extra={"unit": "s"})] = 1.0
-    acceleration_m_s2: Annotated[float, Meta(gt=0, le=10, title="Acceleration", extra={"unit": "m/s2"})] = 1.0
+    acceleration_m_s2: Annotated[float, Meta(gt=0, le=10, title="Acceleration", extra={"unit": "m/s\u00b2"})] = 1.0
     comfortable_braking_m_s2: Annotated[
-        float, Meta(gt=0, le=10, title="Comfortable braking", extra={"unit": "m/s2"})
+        float, Meta(gt=0, le=10, title="Comfortable braking", extra={"unit": "m/s\u00b2"})
     ] = 1.5
     exponent: Annotated[float, Meta(ge=1, le=20, title="Exponent")] = 4.0
-    most_braking_m_s2: Annotated[float, Meta(gt=0, le=20, title="Most braking", extra={"unit": "m/s2"})] = 8.0
+    most_braking_m_s2: Annotated[float, Meta(gt=0, le=20, title="Max. braking", extra={"unit": "m/s\u00b2"})] = 8.0
 
     def begin(self, scene: Scene, start_s: float) -> Behavior:
         return _LaneKeeper(partial(_idm_speed, self))
@@ -86,7 +86,7 @@ class Brake(Triggered, frozen=True, kw_only=True, forbid_unknown_fields=True, ta
     Euro NCAP's braking lead vehicle brakes at 2 or 6 m/s2 to a standstill (AEB car-to-car protocol, CCRb).
     """
 
-    deceleration_m_s2: Annotated[float, Meta(gt=0, le=20, title="Deceleration", extra={"unit": "m/s2"})] = 6.0
+    deceleration_m_s2: Annotated[float, Meta(gt=0, le=20, title="Deceleration", extra={"unit": "m/s\u00b2"})] = 6.0
     to_speed_m_s: Annotated[float, Meta(ge=0, le=60, title="Speed after", extra={"unit": "m/s"})] = 0.0
 
     def begin(self, scene: Scene, start_s: float) -> Behavior:
@@ -141,7 +141,13 @@ class CutIn(Triggered, frozen=True, kw_only=True, forbid_unknown_fields=True, ta
     ] = 0.0  # fmt: skip
     acceleration_m_s2: Annotated[
         float,
-        Meta(gt=0, le=20, title="Acceleration", description="To that speed, or braking to it.", extra={"unit": "m/s2"}),
+        Meta(
+            gt=0,
+            le=20,
+            title="Acceleration",
+            description="To that speed, or braking to it.",
+            extra={"unit": "m/s\u00b2"},
+        ),
     ] = 2.0
 
     def begin(self, scene: Scene, start_s: float) -> Behavior:

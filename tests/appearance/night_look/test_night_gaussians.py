@@ -12,6 +12,7 @@ from gsrain_engine.appearance.night_look.lamp_shadows import OpacityGrid
 from gsrain_engine.appearance.night_look.lanterns import RIGHT_M, SPACING_M
 from gsrain_engine.appearance.night_look.night_gaussians import SurfaceNormals, light_of_lamps, night_scene
 from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.edits.members import set_locked
 from gsrain_engine.editor.steps import EditStep, apply_steps, steps_since
 from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.scene.gaussians import SH_C0, Gaussians
@@ -118,11 +119,13 @@ def test_the_job_of_the_window_is_one_step_that_can_be_repeated(yard):
     with closing(Editor(replace(yard, lamps=(LAMP,)))) as editor:
         job = editor.night_look.relight()
         assert not editor.night_look.is_possible
+        editor.document.edit("Lock", set_locked, "layers/all", True)  # what is lit stays
         job.wait(60)
         settle(editor)
         document = editor.document
-        assert (job.progress.message, document.history.labels[1:]) == ("Lit by 1 lamp", ["Relight as by night"])
-        (step,) = steps_since(document.history, document.history.steps[0].document)
+        assert (job.progress.message, document.history.labels[1:]) == ("Lit by 1 lamp", ["Lock", "Relight for night"])
+        _, step = steps_since(document.history, document.history.steps[0].document)
         made = document.scene.member("layers/all")
+        assert made.locked
     again = apply_steps(replace(yard, lamps=(LAMP,)), [EditStep.parse(step.text)])
     assert step.text == "night" and np.array_equal(again.member("layers/all").gaussians.sh, made.gaussians.sh)

@@ -228,6 +228,8 @@ def test_the_orientation_is_guessed_from_the_ground_and_the_scale_from_the_camer
     assert guess_orientation(both).up == pytest.approx([0, 0, 1], abs=1e-6)  # both are as large
     with pytest.raises(ValueError, match="below any axis"):
         guess_orientation(flat_and_round((0.0, 45), lumps=955))
+    with pytest.raises(ValueError, match="below any axis"):
+        guess_orientation(flat_and_round((10.0, 200), lumps=1000))  # a shelf in a ball
     high = replace(LYING, layers=tuple(replace(each, to_scene=turned(90, 0)) for each in right.layers))
     high = replace(high, path=flown(np.array([[0.0, 0, 3], [1, 0, 3], [2, 0, 3]])), unit_is_assumed=True)
     scaled = guess_orientation(high)

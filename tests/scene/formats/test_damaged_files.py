@@ -308,7 +308,7 @@ DAMAGED: list[tuple[str, Callable[[], bytes], str]] = [
     ("a.glb", lambda: glb("accessors/2/sparse", {}), "without `sparse`"),
     ("a.glb", lambda: glb("accessors/3/byteOffset", 4), "SCALE ends at byte 64 of a bufferView of 60"),
     ("a.glb", lambda: glb("bufferViews/3/byteLength", 2**40), "bufferView 3 ends at byte"),
-    ("a.glb", lambda: glb("buffers/0/uri", "/etc/passwd"), "the file's own binary chunk"),
+    ("a.glb", lambda: glb("buffers/0/uri", "/etc/passwd"), "the file's own, the first"),
     ("a.glb", lambda: glb("bufferViews/4/byteOffset", 0), "have an opacity outside 0 to 1"),
     # USDZ
     ("a.usdz", lambda: b"", "zip"),

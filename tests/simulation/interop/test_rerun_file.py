@@ -16,15 +16,17 @@ from small_scene import small_scene
 
 def test_points_stand_for_the_background_in_the_world():
     scene = small_scene()
-    points, colors, radii = scene_points(scene, 0.0)
+    everywhere = np.mgrid[-250:250:50, -250:250:50].reshape(2, -1).T.astype(np.float64)
+    points, colors, radii = scene_points(scene, 0.0, everywhere)
     background = [layer.gaussians for layer in scene.layers if layer.kind != "sky"]
     assert len(points) == len(colors) == len(radii) == sum(map(len, background)) <= MOST_POINTS
     np.testing.assert_allclose(points, np.concatenate([each.means for each in background]), atol=1e-6)
     assert np.abs(colors[0].astype(int) - np.rint(255 * np.array([0.35, 0.33, 0.30, 1]))).max() <= 1
     moved = replace(scene, metres_per_unit=2.0)
-    farther, _, larger = scene_points(moved, 0.0)
+    farther, _, larger = scene_points(moved, 0.0, everywhere)
     np.testing.assert_allclose(farther, 2 * points, atol=1e-5)
-    np.testing.assert_allclose(larger, 2 * radii, rtol=1e-5)
+    np.testing.assert_allclose(larger, np.minimum(2 * radii, 0.25), rtol=1e-5)
+    assert len(scene_points(scene, 0.0, everywhere + 1e3)[0]) == 0
 
 
 def test_files_of_another_kind_are_refused(tmp_path, capsys):
