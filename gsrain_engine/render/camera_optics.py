@@ -22,7 +22,7 @@ from .renderer import Renderer
 
 WIDE_SHARE = 1 / 32
 """Share of the Gaussians in the wide view behind the glass. Against all of them, drops in pictures of the street have
-39 to 45 dB by day, and 42 to 47 dB at dusk, in one view of four 28 dB (with twice as many: 30)."""
+39 to 46 dB by day, and 35 to 46 dB at dusk."""
 
 
 class CameraOptics:

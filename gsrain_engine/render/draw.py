@@ -100,10 +100,10 @@ def draw_view(
 
     Wet colors follow the rain's wetness and fog, and the sky its share of clouds, also if nothing `falls`; without
     `rainfall` the scene is clear and dry. `only_medium` leaves out single drops, splashes and mirror; the medium takes
-    the place of streaks. With the rain's `mirror`, water on the ground reflects the scene. `thinning`
-    leaves out some of each part's Gaussians, `reflected` others in mirrors; `selection` tints selected ones; `reuse`
-    draws fewer mirrors, and `still` what stands still only once, by a renderer that can; `bands` of the renderer draw
-    and read the picture instead. Spray counts in depth: where `has_spray`, draw the scene's own depth without rain.
+    the place of streaks. With the rain's `mirror`, water on the ground reflects the scene. `thinning` leaves out some
+    of each part's Gaussians, `reflected` others in mirrors; `selection` tints selected ones; `reuse` draws fewer
+    mirrors, and `still` what stands still only once, by a renderer that can; `bands` of the renderer draw and read the
+    picture instead. Spray counts in depth: where `has_spray`, draw the scene's own depth without rain.
     """
     rain, wetness, soaked, overcast = None, 0.0, 0.0, 0.0
     lamps = scene.lamps if rainfall is None else rainfall.lamps_of(scene, shot.time_s)
