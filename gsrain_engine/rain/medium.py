@@ -106,7 +106,7 @@ def make_medium(
 
 
 NO_STREAKS = 1.0, np.zeros(STEPS)
-"""What `streak_depths` returns where none are drawn."""
+"""Result of `streak_depths` where none are drawn."""
 
 
 def streak_depths(
