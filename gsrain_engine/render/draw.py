@@ -20,7 +20,7 @@ from ..scene.ground_water import ground_heights
 from ..scene.lens_faces import wide_face
 from ..scene.lod_order import lod_growth, lod_sample
 from ..scene.lod_tree import MIN_GAUSSIANS, PIXEL, cut_lod_tree, merged_harmonics
-from ..scene.scene import DrawItem, Scene
+from ..scene.scene import DrawItem, Scene, is_single_object
 from ..water.films import WaterDepth, WaterFilms
 from ..water.leveled_ground import leveled_view
 from ..water.mirror import LensMirror
@@ -215,7 +215,9 @@ def rain_camera(scene: Scene, rainfall: RainSimulation, shot: RenderView) -> Rai
 
 
 def _floor_m(scene: Scene, camera: Camera) -> float | None:
-    """Height of the ground below a camera, if it is known."""
+    """Height of the ground below a camera, if it is known; none below a single object, since it ends soon."""
+    if is_single_object(scene):
+        return None
     if scene.water is None or scene.water.heights_m is None:
         return scene.ground_m
     return float(scene.water.height_at(camera.position[None, :2])[0])
