@@ -187,7 +187,7 @@ _GESTURES: dict[str, tuple[bool, tuple[tuple[float, float], ...]]] = {
     "Color pick": (False, ((0.92, 0.85),)),
     "Measure": (False, ((0.3, 0.85), (0.7, 0.85))),
     "Level": (False, ((0.3, 0.8), (0.6, 0.9))),
-    "Pick drop color": (True, ((0.4, 0.12), (0.6, 0.25))),
+    "Drop color": (True, ((0.4, 0.12), (0.6, 0.25))),
 }
 """By tool: whether the button stays down for the picture, and where the mouse goes, in shares of the picture."""
 

@@ -55,5 +55,5 @@ def found_drops(
 ):
     """Numbers of the drops of a chosen cell that the kernel finds."""
     frame = RainSimulation.start(RainSettings(intensity_mm_h=1.0, seed=seed)).frame(0.0, HERE)
-    chosen = replace(frame, count=count, where=where, period_m=period_m, culling=culling)
+    chosen = replace(frame, count=count, find_drops=lambda: (where, culling), period_m=period_m)
     return chosen.visible_drops(in_view=in_view).numbers

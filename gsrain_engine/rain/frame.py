@@ -1,5 +1,6 @@
 """Rain frame: drops and haze at one time for one camera."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -15,7 +16,7 @@ from ..scene.lens import ViewBounds, view_bounds
 from .drop_field import FIRST_OF_CLASS, LANES, DropCulling, DropPhases, Drops, air_velocities, mark_drops, place_drops
 from .haze import make_haze
 from .lamp_light import LampLight, light_of_drops, make_lamp_light
-from .medium import RainMedium, make_medium, streak_depths
+from .medium import NO_STREAKS, RainMedium, make_medium, streak_depths
 from .phase import fog_phase, rain_phase
 from .properties import CLASSES
 from .settings import RainSettings
@@ -101,14 +102,14 @@ class RainFrame:
     """Part of beta that is fog."""
     count: int
     """Number of drops in the cell; drops have the numbers 0 to `count` - 1."""
-    where: DropPhases
+    find_drops: Callable[[], tuple[DropPhases, DropCulling]]
+    """Returns `where` and `culling`: they cost more than all else here, and medium and light do without them."""
     period_m: Float64[np.ndarray, "3"]
     """Edge lengths of the cell."""
     axes: Float64[np.ndarray, "3 3"]
     """Cell to world, a rotation."""
     center_m: Float64[np.ndarray, "3"]
     """Center of the cell, and of the streak region, in the world."""
-    culling: DropCulling
     diameters_mm: Float64[np.ndarray, " classes"]
     fall_speed_m_s: Float64[np.ndarray, " classes"]
     shutter: ShutterModel
@@ -118,6 +119,16 @@ class RainFrame:
     """Lamps that light drops and medium, in the world; None without any."""
     splashes: Gaussians | None = None
     """Splashes of drops that have landed; None without any."""
+
+    @property
+    def where(self) -> DropPhases:
+        """Places of the drops in the cell."""
+        return self.find_drops()[0]
+
+    @property
+    def culling(self) -> DropCulling:
+        """Visibility tests of the drops."""
+        return self.find_drops()[1]
 
     @property
     def is_clear(self) -> bool:
@@ -265,7 +276,9 @@ class RainFrame:
         if extinction <= 0:
             return None
         per_m3 = self.count / float(np.prod(self.period_m)) if has_drops else 0.0
-        streaks = streak_depths(self.rain, per_m3, self.diameters_mm, self.culling.class_far_m)
+        streaks = NO_STREAKS
+        if self.rain.streaks:
+            streaks = streak_depths(self.rain, per_m3, self.diameters_mm, self.culling.class_far_m)
         view = self.view
         air = self.airlight_linear
         return make_medium(self.rain, extinction, view.camera, view.anchor_to_world, streaks, air, view.floor_m)

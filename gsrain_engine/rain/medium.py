@@ -105,6 +105,10 @@ def make_medium(
     return RainMedium(np.array(numbers, np.float32), drawn.astype(np.float32), airlight_linear, floor, by_distance)
 
 
+NO_STREAKS = 1.0, np.zeros(STEPS)
+"""Result of `streak_depths` where none are drawn."""
+
+
 def streak_depths(
     rain: RainSettings,
     drops_per_m3: float,
@@ -112,8 +116,6 @@ def streak_depths(
     class_far_m: Float64[np.ndarray, " classes"],
 ) -> tuple[float, Float64[np.ndarray, " steps"]]:
     """Step of depth in m, and the optical depth of streaks along the view axis up to each of `STEPS` steps."""
-    if not rain.streaks:
-        return 1.0, np.zeros(STEPS)
     reach_m = float(min(np.linalg.norm(rain.streak_region.size_m), class_far_m.max()))
     depths = np.linspace(0.0, reach_m, STEPS)
     # A drop takes its own cross-section from the image, half of what it extinguishes.

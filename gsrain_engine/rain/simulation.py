@@ -1,7 +1,7 @@
 """Rain simulation: from settings, time and camera to drops and haze."""
 
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 
 import msgspec
 import numpy as np
@@ -16,7 +16,7 @@ from ..scene.scene import Scene
 from ..scene.sensor import DEFAULT_SENSOR, Sensor, ThinLens, load_sensor
 from .air import Wind, follows
 from .calibration import Calibration, load_calibration
-from .drop_field import DropCulling, drop_phases
+from .drop_field import DropCulling, DropPhases, drop_phases
 from .drop_motion import DropMotion, KeyframedDropMotion, wind_of
 from .fog import fog_overcast
 from .frame import RainCamera, RainFrame, SkyLight
@@ -208,21 +208,27 @@ class RainSimulation:
         rain, motion, camera = now.rain, now.motion, view.camera
         turn, size = view.anchor_to_world[:3, :3], np.array(rain.streak_region.size_m)
         center = turn @ np.array(rain.streak_region.center_m) + view.anchor_to_world[:3, 3]
-        if rain.streak_reset == "paper":
-            # The region itself is the cell: drops stay in the ego's frame, fall straight and re-enter at the top.
+        is_paper = rain.streak_reset == "paper"
+        if is_paper:  # the region itself is the cell: drops stay in the ego's frame, fall straight, re-enter at the top
             period, axes = size, turn
-            where = drop_phases(motion.without_drift(), time_s, np.zeros(3), period)
-        else:
-            # World axes; a horizontal period of the region's diagonal covers the region at any yaw.
+        else:  # world axes; a horizontal period of the region's diagonal covers the region at any yaw
             period, axes = np.array([*np.full(2, np.hypot(size[0], size[1])), size[2]]), np.eye(3)
-            ground_m = float(view.anchor_to_world[2, 3]) + rain.streak_region.minimum_m[2]
-            where = drop_phases(motion, time_s, center, period, ground_m if view.ground_m is None else view.ground_m)
         focal_px = view.focal_px or float(np.sqrt(camera.fx * camera.fy))
         shutter = ShutterModel(
             camera, view.velocity_m_s, now.exposure_s(camera) * view.exposure_share, focal_px, now.lens(camera),
             self.readout(camera),
         )  # fmt: skip
         reach = float(np.hypot(period[0], period[1])) / 2
+
+        @cache
+        def find_drops() -> tuple[DropPhases, DropCulling]:
+            if is_paper:
+                where = drop_phases(motion.without_drift(), time_s, np.zeros(3), period)
+            else:
+                lower_m = float(view.anchor_to_world[2, 3]) + rain.streak_region.minimum_m[2]
+                where = drop_phases(motion, time_s, center, period, lower_m if view.ground_m is None else view.ground_m)
+            return where, now._culling(turn, axes, center, shutter, where.air.fastest_m_s)
+
         return RainFrame(
             rain=rain,
             time_s=time_s,
@@ -233,11 +239,10 @@ class RainSimulation:
             extinction_per_m=now.state.extinction_per_m,
             fog_extinction_per_m=now.state.fog_extinction_per_m,
             count=round(now.state.density_m3 * float(np.prod(period))),
-            where=where,
+            find_drops=find_drops,
             period_m=period,
             axes=axes,
             center_m=center,
-            culling=now._culling(turn, axes, center, shutter, where.air.fastest_m_s),
             diameters_mm=now.diameters_mm,
             fall_speed_m_s=motion.fall_speed_m_s,
             shutter=shutter,

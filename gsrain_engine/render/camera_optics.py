@@ -5,7 +5,6 @@ from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
-import msgspec
 import numpy as np
 from jaxtyping import Float64
 
@@ -15,7 +14,7 @@ from ..scene.scene import Scene
 from ..water.glass import CameraMotion, GlassHistory, GlassState, PastMotion
 from ..water.glass_drops import GlassDrops
 from ..water.pane import GlassKind, Pane, pane_of
-from ..water.refraction import GlassView, WetGlass, wide_camera
+from ..water.refraction import GlassView, WetGlass, wide_view
 from ..water.spray import spray_of
 from .camera_response import CameraResponse, PictureOptics, metered_gain
 from .draw import LodSample, RenderView, draw_view, ego_view
@@ -23,7 +22,7 @@ from .renderer import Renderer
 
 WIDE_SHARE = 1 / 32
 """Share of the Gaussians in the wide view behind the glass. Against all of them, drops in pictures of the street have
-39 to 45 dB by day, and 42 to 47 dB at dusk, in one view of four 28 dB (with twice as many: 30)."""
+39 to 46 dB by day, and 35 to 46 dB at dusk."""
 
 
 class CameraOptics:
@@ -79,17 +78,17 @@ class CameraOptics:
         if shot.camera.lens is not None:
             raise ValueError("glass: water on glass is drawn for pinhole cameras; choose none for a camera with a lens")
         glass = self._glass(pane, scene, rainfall, shot.time_s, camera, past or at_rest(shot), falls=falls)
-        wide = wide_camera(shot.camera)
+        lens = rainfall.lens(shot.camera)
+        wide = wide_view(shot.camera, pane, lens)
         if len(glass.drops):
             # Drops on glass shrink streaks and splashes to nothing, and of the mirror leave what wet colors have baked
-            # in. The medium takes the place of streaks.
-            calm = msgspec.structs.replace(rainfall.rain, streaks=False, splashes=False, mirror=False)
+            # in.
             view = replace(shot, camera=wide, focal_px=None)
-            draw_view(renderer, scene, replace(rainfall, rain=calm), sky, view, thinning=LodSample(WIDE_SHARE))
+            draw_view(renderer, scene, rainfall, sky, view, thinning=LodSample(WIDE_SHARE), only_medium=True)
             behind = renderer.read_uint8().copy()
         else:
             behind = np.zeros((wide.height, wide.width, 3), np.uint8)
-        return GlassView(glass, shot.camera, rainfall.lens(shot.camera), behind)
+        return GlassView(glass, shot.camera, lens, behind)
 
     def meter(
         self, renderer: Renderer, scene: Scene, rainfall: RainSimulation, shot: RenderView, camera: Hashable = ""

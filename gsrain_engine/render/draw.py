@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Protocol, runtime_checkable
 
+import msgspec
 import numpy as np
 from jaxtyping import Float32, Float64, Int64, UInt8
 
@@ -19,7 +20,7 @@ from ..scene.ground_water import WetGround, ground_heights
 from ..scene.lens_faces import wide_face
 from ..scene.lod_order import lod_growth, lod_sample
 from ..scene.lod_tree import MIN_GAUSSIANS, PIXEL, cut_lod_tree, merged_harmonics
-from ..scene.scene import DrawItem, Scene
+from ..scene.scene import DrawItem, Scene, is_single_object
 from ..water.films import WaterDepth, WaterFilms
 from ..water.leveled_ground import leveled_view
 from ..water.mirror import LensMirror
@@ -90,6 +91,7 @@ def draw_view(
     reflected: "Thinning | None" = None,
     selection: bool = False,
     falls: bool = True,
+    only_medium: bool = False,
     reuse: MirrorReuse | None = None,
     still: StillScene | None = None,
     bands: PictureBands | None = None,
@@ -97,10 +99,11 @@ def draw_view(
     """Draw a scene with its rain into the renderer's image; render modes other than "splats" omit the rain.
 
     Wet colors follow the rain's wetness and fog, and the sky its share of clouds, also if nothing `falls`; without
-    `rainfall` the scene is clear and dry. With the rain's `mirror`, water on the ground reflects the scene. `thinning`
-    leaves out some of each part's Gaussians, `reflected` others in mirrors; `selection` tints selected ones; `reuse`
-    draws fewer mirrors, and `still` what stands still only once, by a renderer that can; `bands` of the renderer draw
-    and read the picture instead. Spray counts in depth: where `has_spray`, draw the scene's own depth without rain.
+    `rainfall` the scene is clear and dry. `only_medium` leaves out single drops, splashes and mirror; the medium takes
+    the place of streaks. With the rain's `mirror`, water on the ground reflects the scene. `thinning` leaves out some
+    of each part's Gaussians, `reflected` others in mirrors; `selection` tints selected ones; `reuse` draws fewer
+    mirrors, and `still` what stands still only once, by a renderer that can; `bands` of the renderer draw and read the
+    picture instead. Spray counts in depth: where `has_spray`, draw the scene's own depth without rain.
     """
     rain, wetness, soaked, overcast = None, 0.0, 0.0, 0.0
     lamps = scene.lamps if rainfall is None else rainfall.lamps_of(scene, shot.time_s)
@@ -110,9 +113,10 @@ def draw_view(
         soaked = rainfall.soaked_share_at(shot.time_s)
         if falls and look == "splats" and not rainfall.state_at(shot.time_s).is_clear:
             rain = rainfall.frame(shot.time_s, rain_camera(scene, rainfall, shot), sky, lit_lamps)
+            rain = replace(rain, rain=msgspec.structs.replace(rain.rain, streaks=False)) if only_medium else rain
     face = None if shot.camera.lens is None else wide_face(shot.camera)
     level, has_water, standing, depth = None, False, (0.0, 0.0), WaterDepth(0.0, 0.0)
-    if rainfall is not None and rainfall.rain.mirror and look == "splats":
+    if rainfall is not None and rainfall.rain.mirror and look == "splats" and not only_medium:
         depth = WaterFilms.of(rainfall, scene.water).at(shot.time_s)
         standing = standing_water(rainfall.frozen_at(shot.time_s).rain, depth, wetness)
         level = mirror_view(scene, shot.camera.pinhole if face is None else face.of(shot.camera))
@@ -147,7 +151,7 @@ def draw_view(
             plane = reflect() if reuse is None else reuse.mirror(scene, level, reflect)
             mirror = plane if face is None else LensMirror(plane, face)
     if rain is not None and rainfall is not None:
-        if has_splashes(scene, rainfall, wetness):
+        if not only_medium and has_splashes(scene, rainfall, wetness):
             rain = replace(rain, splashes=draw_splashes(scene, rainfall, rain))
         spray = spray_of(scene, rainfall, shot.time_s)
         parts += [DrawItem(spray_gaussians(spray, rain), np.eye(4))] if len(spray) else []
@@ -215,7 +219,9 @@ def rain_camera(scene: Scene, rainfall: RainSimulation, shot: RenderView) -> Rai
 
 
 def _floor_m(scene: Scene, camera: Camera) -> float | None:
-    """Height of the ground below a camera, if it is known."""
+    """Height of the ground below a camera, if it is known; none below a single object, since it ends soon."""
+    if is_single_object(scene):
+        return None
     if scene.water is None or scene.water.heights_m is None:
         return scene.ground_m
     return float(scene.water.height_at(camera.position[None, :2])[0])
@@ -265,7 +271,10 @@ class Thinning(Protocol):
 
 
 def subset_items(parts: Sequence[DrawItem], thinning: Thinning | None, camera: Camera) -> Sequence[DrawItem]:
-    return parts if thinning is None else [item for part in parts for item in thinning.items(part, camera)]
+    if thinning is None:
+        return parts
+    items = [item for part in parts for item in thinning.items(part, camera)]
+    return joined_items(items) if isinstance(thinning, LodSample) else items
 
 
 @dataclass(frozen=True, slots=True)
@@ -351,6 +360,34 @@ def _sampled(gaussians: Gaussians, share: float) -> tuple[Int64[np.ndarray, " m"
     rows = np.flatnonzero(mask)
     sample = gaussians.take(rows)
     return rows, replace(sample, scales=sample.scales * np.float32(1 + _GROWN * (growth - 1)))
+
+
+def joined_items(items: Sequence[DrawItem]) -> list[DrawItem]:
+    """Join items that differ in nothing but their Gaussians: of few Gaussians, each item costs more than these."""
+    groups: dict[object, list[DrawItem]] = {}
+    for number, item in enumerate(items):
+        g, wet_sh = item.gaussians, item.wet_sh
+        is_plain = item.left_out is item.selected is item.colors is item.members is item.film is None
+        same = g.antialiased, g.sh.shape[1], wet_sh is None or wet_sh.shape[1], item.wetness, item.opacity, item.growth
+        can_join = is_plain and item.limit is None and item.to_world_ends is None
+        groups.setdefault((item.to_world.tobytes(), *same) if can_join else number, []).append(item)
+    found: list[DrawItem] = []
+    for first, *others in groups.values():
+        if others:
+            sets = [(IdentityKey(each.gaussians), IdentityKey(each.wet_sh)) for each in (first, *others)]
+            gaussians, wet_sh = _joined(*map(tuple, zip(*sets, strict=True)))
+            first = first._replace(gaussians=gaussians, wet_sh=wet_sh)
+        found.append(first)
+    return found
+
+
+@scene_cache(maxsize=16)
+def _joined(
+    sets: tuple[IdentityKey, ...], wet_colors: tuple[IdentityKey, ...]
+) -> tuple[Gaussians, Float32[np.ndarray, "n k 3"] | None]:
+    gaussians: list[Gaussians] = [each.of for each in sets]  # pyright: ignore[reportAssignmentType]
+    wet_sh: list[np.ndarray] = [each.of for each in wet_colors if each.of is not None]  # pyright: ignore[reportAssignmentType]
+    return Gaussians.concatenate(gaussians), np.concatenate(wet_sh) if wet_sh else None
 
 
 @scene_cache(maxsize=64)

@@ -103,7 +103,7 @@ def _cells(
     gaussians = Gaussians(
         means.astype(np.float32), scales.astype(np.float32),
         np.asarray(quaternions_from_matrices(frame), np.float32), opacity.astype(np.float32),
-        ((colors - 0.5) / SH_C0).astype(np.float32)[:, None],
+        ((colors - 0.5) / SH_C0).astype(np.float32)[:, None], antialiased=True,
     )  # fmt: skip
     return DrawItem(gaussians, np.eye(4))
 

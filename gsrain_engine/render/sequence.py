@@ -167,7 +167,9 @@ class FrameSequence:
         has_own_depth = with_depth and len(shots) == side == 1
         has_own_depth = has_own_depth and not has_spray(self.scene, rainfall, shots[0].time_s)
         thinning = LodCut() if self.lod and look == "splats" and not has_own_depth else None
-        optics = None if face is not None else self._optics_of(renderer, number, color, look, falls=sky is not None)
+        optics = None
+        if face is None:
+            optics = self._optics_of(renderer, self.shot(number), color, look, falls=sky is not None)
         frame: Frame | None = None
         total: Float32[np.ndarray, "h w 4"] | None = None
         for shot in shots:
@@ -224,13 +226,13 @@ class FrameSequence:
         if is_composed or not has_one_band(shot.camera):
             return self.frame(renderer, number, sky, look=look).to_uint8
         color = OVERCAST if sky is None else sky.at(self.rainfall.overcast_at(shot.time_s))
-        optics = self._optics_of(renderer, number, color, look, falls=sky is not None)
+        optics = self._optics_of(renderer, shot, color, look, falls=sky is not None)
         thinning = LodCut() if self.lod and look == "splats" else None
         draw_view(renderer, self.scene, rainfall, color, shot, look=look, thinning=thinning, falls=self.falls)
         return request_picture(renderer, optics)
 
     def _optics_of(
-        self, renderer: Renderer, number: int, sky: SkyLight, look: RenderMode, *, falls: bool
+        self, renderer: Renderer, shot: RenderView, sky: SkyLight, look: RenderMode, *, falls: bool
     ) -> PictureOptics | None:
         """Glass and sensor for a frame, with rain or without; None for other render modes than splats.
 
@@ -241,7 +243,7 @@ class FrameSequence:
         if self.rainfall.picture_sensor is not None:
             self._optics.meter(renderer, self.scene, self.rainfall, self.shot_at(self.start_s))
         return self._optics.of(
-            renderer, self.scene, self.rainfall, sky, self.shot(number),
+            renderer, self.scene, self.rainfall, sky, shot,
             past=self._motion, camera_to_vehicle=self._camera_to_vehicle, falls=falls and self.falls,
         )  # fmt: skip
 

@@ -59,6 +59,11 @@ class Camera:
         return self.camera_to_world[:3, 3]
 
     @property
+    def rounded_intrinsics(self) -> tuple[float, float, float, float]:
+        """Focal lengths and principal point to a millionth of a pixel: equal numbers for frames of one camera."""
+        return round(float(self.fx), 6), round(float(self.fy), 6), round(float(self.cx), 6), round(float(self.cy), 6)
+
+    @property
     def is_pinhole(self) -> bool:
         """True without a lens and without a rolling shutter."""
         return self.lens is None and self.rolling is None

@@ -13,7 +13,7 @@ from msgspec import Meta
 from .camera import Camera
 from .camera_path import CameraPath
 from .flags import UNMARKED, BitMask, SelectionFlags
-from .gaussians import Gaussians, IdentityKey
+from .gaussians import Gaussians, IdentityKey, scene_cache
 from .geometry import LUMINANCE, matrices_from_quaternions, quaternions_from_matrices
 from .ground_water import GroundWater
 from .lamps import Lamp, LitLamps, lit_lamps
@@ -246,6 +246,25 @@ def robust_bounds(*sets: Gaussians, share: float = _ROBUST_SHARE) -> Aabb:
     columns = [_weighted_quantiles(column, weights, ends) for column in means.T] if len(means) else []
     low, high = np.array(columns, np.float64).T if columns else np.zeros((2, 3))
     return Aabb(low, high)
+
+
+_OBJECT_M, _OBJECT_SAMPLES = 20.0, 4096
+
+
+def is_single_object(scene: "Scene") -> bool:
+    """Return whether a scene shows one thing without surroundings: neither sky nor drive, at most 20 m wide."""
+    layers = tuple(each.gaussians for each in scene.layers if each.visible and len(each.gaussians))
+    has_sky = any(each.kind == "sky" for each in scene.layers)
+    return not has_sky and scene.ego is None and scene.metres_per_unit * _widest(layers) <= _OBJECT_M
+
+
+@scene_cache(maxsize=4)
+def _widest(layers: tuple[Gaussians, ...]) -> float:
+    """Longest edge of the box of the middle 98 % of evenly sampled centers, in the scene's unit."""
+    step = -(-sum(map(len, layers)) // _OBJECT_SAMPLES) or 1
+    means = np.concatenate([np.zeros((1, 3), np.float32), *(each.means[::step] for each in layers)])[1:]
+    ends = [(1 - _ROBUST_SHARE) / 2, (1 + _ROBUST_SHARE) / 2]
+    return float(np.ptp(np.quantile(means, ends, axis=0), axis=0).max()) if len(means) else 0.0
 
 
 def _weighted_quantiles(

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -82,9 +83,22 @@ def pane_of(
 
     `camera_to_vehicle` turns camera axes to the vehicle's (x forward, y left, z up); None is a camera along its
     heading. The view's footprint on the glass is extended to multiples of 5 mm, so that it is the same for all frames.
+    Equal cameras have the same object.
     """
+    turn = None if camera_to_vehicle is None else camera_to_vehicle.astype(np.float64).tobytes()
+    return _pane_of(kind, camera.rounded_intrinsics, (camera.width, camera.height), distance_m, turn)
+
+
+@lru_cache(maxsize=64)
+def _pane_of(
+    kind: GlassKind,
+    intrinsics: tuple[float, float, float, float],
+    size_px: tuple[int, int],
+    distance_m: float | None,
+    camera_to_vehicle: bytes | None,
+) -> Pane | None:
     distance = DISTANCES_M[kind] if distance_m is None else distance_m
-    turn = _LOOKS_AHEAD if camera_to_vehicle is None else camera_to_vehicle
+    turn = _LOOKS_AHEAD if camera_to_vehicle is None else np.frombuffer(camera_to_vehicle).reshape(3, 3)
     if not is_behind_glass(kind, turn):
         return None
     if kind == "lens":
@@ -101,8 +115,9 @@ def pane_of(
         low, high = (np.array(each) for each in _WINDSHIELD_M)
     share = np.linspace(0, 1, _EDGE_RAYS)
     edges = [(share, 0 * share), (share, 0 * share + 1), (0 * share, share), (0 * share + 1, share)]
-    x = (np.concatenate([each[0] for each in edges]) * camera.width - camera.cx) / camera.fx
-    y = (np.concatenate([each[1] for each in edges]) * camera.height - camera.cy) / camera.fy
+    (fx, fy, cx, cy), (width, height) = intrinsics, size_px
+    x = (np.concatenate([each[0] for each in edges]) * width - cx) / fx
+    y = (np.concatenate([each[1] for each in edges]) * height - cy) / fy
     rays = np.stack([x, y, np.ones_like(x)], axis=1)
     along = rays @ normal
     reaches = float(origin @ normal) / np.maximum(along, 1e-6)

@@ -6,7 +6,7 @@ vary slowly where that circle is large, and have a cell for several pixels there
 """
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from typing import no_type_check
 
 import cv2
@@ -29,14 +29,18 @@ WATER_INDEX = 1.333
 WIDE = 2.5
 """Tangents of the half angles of the wide view, relative to those of the picture."""
 
-WIDE_PX = 160
-"""Width of the wide view: drops minify it by far more."""
+WIDE_PX, _COARSE_PX = 160, 80
+"""Width of the wide view for sharp drops, and for blurred ones."""
+
+_LARGE_M, _FINE = 0.003, 4.0  # radius of a large drop; least pixels of the wide view along what a cell shows; ours
+_SPREAD = 0.7  # difference of angles of rays over half a drop: they spread over some 80 degrees
 
 _FILM_M, _FILM_SHARE = 2e-6, 0.5  # depth at which the film takes 1 - 1/e of its largest share of the light; ours
 _DIRT_SHARE, _WIPED_SHARE = 0.2, 0.3  # coverage of dirt of 1, and what wipers leave of it; ours
 _DIRT_M = 0.009, 0.0023  # sizes of spots
 _BLADE_LIGHT, _ARM_M = 0.01, 0.006
 _TONES = 1 << 14
+_FAST = {"contract", "nsz", "arcp"}  # fused multiply-add and reciprocals, but no change of infinities or order
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,14 +60,25 @@ class WetGlass:
     seed: int
 
 
-def wide_camera(camera: Camera) -> Camera:
+def wide_camera(camera: Camera, width_px: int = WIDE_PX) -> Camera:
     """Camera with the same pose and a wide field of view, for what drops refract into the picture."""
-    height = max(round(WIDE_PX * camera.height / camera.width), 8)
-    across, down = WIDE_PX / camera.width, height / camera.height
+    height = max(round(width_px * camera.height / camera.width), 8)
+    across, down = width_px / camera.width, height / camera.height
     return Camera(
-        WIDE_PX, height, camera.fx * across / WIDE, camera.fy * down / WIDE, WIDE_PX / 2, height / 2,
+        width_px, height, camera.fx * across / WIDE, camera.fy * down / WIDE, width_px / 2, height / 2,
         camera.world_to_camera, camera.exposure_s,
     )  # fmt: skip
+
+
+def wide_view(camera: Camera, pane: Pane, lens: ThinLens) -> Camera:
+    """Wide camera with the width that drops need: they minify the view, and an open lens blurs it.
+
+    It does not depend on the drops, so that nothing jumps when a larger one comes.
+    """
+    depth_m = float(pane.origin_m @ pane.normal) / max(float(pane.normal[2]), 0.02)
+    cells = camera.fx * _LARGE_M / depth_m / _cell_px(_circles_px(pane, lens, camera, _edges_px(camera)))
+    coarse = wide_camera(camera, _COARSE_PX)
+    return coarse if _SPREAD * coarse.fx / cells >= _FINE else wide_camera(camera)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,7 +89,7 @@ class GlassView:
     camera: Camera
     lens: ThinLens
     wide: UInt8[np.ndarray, "h w 3"]
-    """View behind the glass of `wide_camera` (sRGB)."""
+    """View behind the glass of `wide_camera`, of any width (sRGB)."""
 
     def picture(self, image: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
         """Return a picture (sRGB) as it is through the glass; it has the camera's size."""
@@ -87,43 +102,90 @@ class GlassView:
         """Light and coverage of what is on the glass, pixels along a cell, and cells of a margin on each side."""
         glass, pane, height, width = self.glass, self.glass.pane, image.shape[0], image.shape[1]
         camera = self.camera.resized(width, height)
-        largest_px = float(self._circles_px(camera, np.array([0.0, float(height)])).max())
-        cell_px = 1
-        while largest_px >= 8 * cell_px:
-            cell_px *= 2
-        margin = int(np.ceil(largest_px / (2 * cell_px))) + 1
-        rows, columns = (-(-side // cell_px) + 2 * margin for side in (height, width))
+        grid = _pane_grid(pane, self.lens, camera.rounded_intrinsics, width, height)
+        dirt = _dirt(grid, glass.seed) if glass.dirt > 0 else np.zeros((0, 0), np.float32)
+        rows, columns = grid.size
         layer = np.zeros((rows, columns, 4), np.float32)
-        view = np.array([camera.fx, camera.fy, camera.cx, camera.cy, cell_px, margin])
-        axes = np.stack([pane.right, pane.up, pane.normal, pane.origin_m])
-        wide = wide_camera(camera)
-        levels, starts = _pyramid(self.wide)
-        source = np.array([wide.fx, wide.fy, wide.cx, wide.cy])
+        wide = wide_camera(camera, self.wide.shape[1])
         if len(glass.drops):
-            boxes = _boxes(glass.drops, view, axes, rows, columns)
+            levels, starts = _pyramid(self.wide)
+            source = np.array([wide.fx, wide.fy, wide.cx, wide.cy])
+            boxes, outlines = _boxes(glass.drops, grid.view, grid.axes, rows, columns, wide.fx, len(starts))
             row_starts, members = _members(boxes, rows)
             _draw_drops(
-                layer, glass.drops, boxes, row_starts, members, view, axes, source, levels, starts,
+                layer, glass.drops, boxes, outlines, row_starts, members, grid.view, grid.axes, source, levels, starts,
                 float(np.radians(glass.contact_angle_deg)),
             )  # fmt: skip
-        size = max(width // 12, 2), max(height // 12, 2)
-        sparse = np.ascontiguousarray(image[2::4, 2::4])
-        blurred = np.asarray(cv2.resize(sparse, size, interpolation=cv2.INTER_AREA), np.uint8)
+        blurred = _linear_levels()[_shrunk(image)]
         _draw_veil(
-            layer, view, axes, np.array(pane.low_m), glass.film_m, glass.film_cell_m, glass.dirt,
-            -1.0 if glass.blade_rad is None else glass.blade_rad, _linear_levels()[blurred], np.uint32(glass.seed),
+            layer, grid.view, grid.axes, np.array(pane.low_m), glass.film_m, glass.film_cell_m, glass.dirt, dirt,
+            -1.0 if glass.blade_rad is None else glass.blade_rad, blurred, np.array(cv2.mean(blurred)[:3]),
         )  # fmt: skip
-        y = (np.arange(rows) + 0.5 - margin) * cell_px
-        radii = self._circles_px(camera, y) / (2 * cell_px)
-        return (_blurred(layer, radii) if radii.max() >= 0.5 else layer), cell_px, margin
+        return (_blurred(layer, grid.radii) if grid.radii.max() >= 0.5 else layer), grid.cell_px, grid.margin
 
-    def _circles_px(self, camera: Camera, y_px: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
-        """Diameter of the circle of confusion of the pane in the middle of rows of the picture."""
-        pane = self.glass.pane
-        y = np.clip(y_px, 0, camera.height)
-        rays = np.stack([np.zeros_like(y), (y - camera.cy) / camera.fy, np.ones_like(y)], axis=1)
-        depth_m = float(pane.origin_m @ pane.normal) / np.maximum(rays @ pane.normal, 0.02)
-        return camera.fy * self.lens.circle_of_confusion_m(depth_m) / depth_m
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _PaneGrid:
+    """Cells of the layer of a picture's glass, the same for all frames of a camera."""
+
+    cell_px: int
+    margin: int
+    """Cells on each side."""
+    size: tuple[int, int]
+    """Rows and columns, with the margin."""
+    view: Float64[np.ndarray, "6"]
+    """Focal lengths and principal point in px, pixels of a cell, cells of the margin."""
+    axes: Float64[np.ndarray, "4 3"]
+    """Axes, normal and origin of the pane."""
+    radii: Float64[np.ndarray, " rows"]
+    """Radius of the circle of confusion in each row, in cells."""
+
+
+@lru_cache(maxsize=8)
+def _pane_grid(
+    pane: Pane, lens: ThinLens, intrinsics: tuple[float, float, float, float], width: int, height: int
+) -> _PaneGrid:
+    fx, fy, cx, cy = intrinsics
+    camera = Camera(width, height, fx, fy, cx, cy, np.eye(4))
+    circles = _circles_px(pane, lens, camera, _edges_px(camera))
+    cell_px = _cell_px(circles)
+    margin = int(np.ceil(float(circles.max()) / (2 * cell_px))) + 1
+    rows, columns = (-(-side // cell_px) + 2 * margin for side in (height, width))
+    y = (np.arange(rows) + 0.5 - margin) * cell_px
+    radii = _circles_px(pane, lens, camera, y) / (2 * cell_px)
+    view = np.array([fx, fy, cx, cy, cell_px, margin])
+    axes = np.stack([pane.right, pane.up, pane.normal, pane.origin_m])
+    return _PaneGrid(cell_px, margin, (rows, columns), view, axes, radii)
+
+
+@lru_cache(maxsize=8)
+def _dirt(grid: _PaneGrid, seed: int) -> Float32[np.ndarray, "rows columns"]:
+    """Coverage of the glass by dirt of an amount of 1, where no wiper reaches."""
+    coverage = np.zeros(grid.size, np.float32)
+    _draw_dirt(coverage, grid.view, grid.axes, np.uint32(seed))
+    return coverage
+
+
+def _edges_px(camera: Camera) -> Float64[np.ndarray, "2"]:
+    return np.array([0.0, float(camera.height)])
+
+
+def _circles_px(
+    pane: Pane, lens: ThinLens, camera: Camera, y_px: Float64[np.ndarray, " n"]
+) -> Float64[np.ndarray, " n"]:
+    """Diameter of the circle of confusion of the pane in the middle of rows of the picture."""
+    y = np.clip(y_px, 0, camera.height)
+    rays = np.stack([np.zeros_like(y), (y - camera.cy) / camera.fy, np.ones_like(y)], axis=1)
+    depth_m = float(pane.origin_m @ pane.normal) / np.maximum(rays @ pane.normal, 0.02)
+    return camera.fy * lens.circle_of_confusion_m(depth_m) / depth_m
+
+
+def _cell_px(circles_px: Float64[np.ndarray, " n"]) -> int:
+    """Pixels along a cell: 1, or an eighth to a quarter of the largest circle of confusion."""
+    cell_px = 1
+    while float(circles_px.max()) >= 8 * cell_px:
+        cell_px *= 2
+    return cell_px
 
 
 def refracted(
@@ -150,6 +212,14 @@ def _tone_table() -> UInt8[np.ndarray, " n"]:
     return np.rint(255 * linear_to_srgb(np.arange(_TONES) / (_TONES - 1))).astype(np.uint8)
 
 
+def _shrunk(image: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "r c 3"]:
+    """Twelfth of a picture: means of every fourth pixel in both directions."""
+    sparse = cv2.resize(image[2:, 2:], None, fx=0.25, fy=0.25, interpolation=cv2.INTER_NEAREST)
+    columns, rows = max(sparse.shape[1] // 3, 1), max(sparse.shape[0] // 3, 1)
+    shrunk = cv2.resize(sparse[: 3 * rows, : 3 * columns], (columns, rows), interpolation=cv2.INTER_AREA)
+    return np.asarray(shrunk, np.uint8)
+
+
 def _pyramid(picture: UInt8[np.ndarray, "h w 3"]) -> tuple[Float32[np.ndarray, "texels 3"], Int64[np.ndarray, "n 3"]]:
     """Linear light of a picture at resolutions that halve; and first texel, width and height of each."""
     level, levels, starts, first = _linear_levels()[picture], [], [], 0
@@ -166,7 +236,7 @@ def _pyramid(picture: UInt8[np.ndarray, "h w 3"]) -> tuple[Float32[np.ndarray, "
 # Kernels
 
 
-@numba.njit(cache=True, nogil=NOGIL)
+@numba.njit(cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
 @no_type_check
 def _fresnel(cos_in, cos_out, ratio):
     """Reflected share of unpolarized light; `ratio` is the index before over that behind."""
@@ -175,7 +245,7 @@ def _fresnel(cos_in, cos_out, ratio):
     return 0.5 * (s * s + p * p)
 
 
-@numba.njit(cache=True, nogil=NOGIL)
+@numba.njit(cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
 @no_type_check
 def _trace(x, y, dx, dy, dz, angle, cos_turn, sin_turn, stretch):
     """Trace a ray through a spherical cap that is stretched along one axis and compressed along the other.
@@ -236,7 +306,7 @@ def _trace(x, y, dx, dy, dz, angle, cos_turn, sin_turn, stretch):
     return 0.0, 0.0, 0.0, -1.0
 
 
-@numba.njit(cache=True, nogil=NOGIL)
+@numba.njit(cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
 @no_type_check
 def _outline(drop):
     """Axis and stretch of a drop: running drops are long, others are a little out of round."""
@@ -247,12 +317,15 @@ def _outline(drop):
     return np.cos(turn), np.sin(turn), 1.0 + 0.3 * abs(drop[SHAPE] - 0.5)
 
 
-@numba.njit(cache=True, nogil=NOGIL)
+@numba.njit(cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
 @no_type_check
-def _boxes(drops, view, axes, rows, columns):
-    """Cells of each drop, as first and last row and column, and its radius in cells; none if it is out of view."""
+def _boxes(drops, view, axes, rows, columns, focal, levels):
+    """Cells of each drop, as first and last row and column, none if it is out of view; and its outline.
+
+    That is its radius in cells, axis and stretch, and the level of the wide view, of a focal length, that it shows.
+    """
     fx, fy, cx, cy, cell, margin = view
-    boxes = np.empty((len(drops), 5))
+    boxes, outlines = np.empty((len(drops), 4), np.int64), np.empty((len(drops), 5))
     for k in range(len(drops)):
         reach = 1.3 * drops[k, RADIUS]
         low_x = low_y = 1e9
@@ -267,34 +340,37 @@ def _boxes(drops, view, axes, rows, columns):
             y = ((axes[3, 1] + u * axes[0, 1] + v * axes[1, 1]) / z * fy + cy) / cell + margin
             low_x, high_x, low_y, high_y = min(low_x, x), max(high_x, x), min(low_y, y), max(high_y, y)
         # A cell's center is half a cell from its corner.
-        boxes[k, 0] = max(np.floor(low_y - 0.5), 0.0)
-        boxes[k, 1] = min(np.ceil(high_y - 0.5), rows - 1.0)
-        boxes[k, 2] = max(np.floor(low_x - 0.5), 0.0)
-        boxes[k, 3] = min(np.ceil(high_x - 0.5), columns - 1.0)
-        boxes[k, 4] = np.sqrt(max(high_x - low_x, 0.0) * max(high_y - low_y, 0.0)) / 2.6
-        if boxes[k, 2] > boxes[k, 3]:
-            boxes[k, 1] = boxes[k, 0] - 1.0
-    return boxes
+        boxes[k, 0] = np.int64(max(np.floor(low_y - 0.5), 0.0))
+        boxes[k, 1] = np.int64(min(np.ceil(high_y - 0.5), rows - 1.0))
+        boxes[k, 2] = np.int64(max(np.floor(low_x - 0.5), 0.0))
+        boxes[k, 3] = np.int64(min(np.ceil(high_x - 0.5), columns - 1.0))
+        if boxes[k, 2] > boxes[k, 3] or boxes[k, 0] > boxes[k, 1]:
+            boxes[k, 1] = boxes[k, 0] - 1
+            continue
+        cells = max(np.sqrt(max(high_x - low_x, 0.0) * max(high_y - low_y, 0.0)) / 2.6, 0.05)
+        outlines[k, 0], outlines[k, 1:4] = cells, _outline(drops[k])
+        outlines[k, 4] = min(np.int64(np.log2(max(_SPREAD * focal / cells, 1.0)) + 0.5), levels - 1)
+    return boxes, outlines
 
 
-@numba.njit(cache=True, nogil=NOGIL)
+@numba.njit(cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
 @no_type_check
 def _members(boxes, rows):
     """Drops of each row, in their order: `members[starts[row] : starts[row + 1]]`."""
     starts = np.zeros(rows + 1, np.int64)
     for k in range(len(boxes)):
-        for row in range(int(boxes[k, 0]), int(boxes[k, 1]) + 1):
+        for row in range(boxes[k, 0], boxes[k, 1] + 1):
             starts[row + 1] += 1
     starts = np.cumsum(starts)
     members, ends = np.empty(starts[-1], np.int64), starts.copy()
     for k in range(len(boxes)):
-        for row in range(int(boxes[k, 0]), int(boxes[k, 1]) + 1):
+        for row in range(boxes[k, 0], boxes[k, 1] + 1):
             members[ends[row]] = k
             ends[row] += 1
     return starts, members
 
 
-@numba.njit(cache=True, nogil=NOGIL)
+@numba.njit(cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
 @no_type_check
 def _look_up(levels, starts, level, x, y, found):
     """Bilinear color of a level at a place in texels of the first one; the border goes on outside."""
@@ -311,11 +387,10 @@ def _look_up(levels, starts, level, x, y, found):
         found[channel] = upper + below * (lower - upper)
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL)
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
 @no_type_check
-def _draw_drops(layer, drops, boxes, row_starts, members, view, axes, source, levels, starts, angle):
+def _draw_drops(layer, drops, boxes, outlines, row_starts, members, view, axes, source, levels, starts, angle):
     fx, fy, cx, cy, cell, margin = view
-    last_level = len(starts) - 1
     to_pane = axes[3, 0] * axes[2, 0] + axes[3, 1] * axes[2, 1] + axes[3, 2] * axes[2, 2]
     for row in numba.prange(layer.shape[0]):
         color = np.empty(3)
@@ -323,12 +398,9 @@ def _draw_drops(layer, drops, boxes, row_starts, members, view, axes, source, le
         for at in range(row_starts[row], row_starts[row + 1]):
             k = members[at]
             drop = drops[k]
-            cells = max(boxes[k, 4], 0.05)
-            cos_turn, sin_turn, stretch = _outline(drop)
-            # Rays over the drop spread over some 80 degrees.
-            texels = 0.7 * source[0] / cells
-            level = min(max(int(np.log2(max(texels, 1.0)) + 0.5), 0), last_level)
-            for column in range(int(boxes[k, 2]), int(boxes[k, 3]) + 1):
+            cells, cos_turn, sin_turn, stretch = outlines[k, 0], outlines[k, 1], outlines[k, 2], outlines[k, 3]
+            level = int(outlines[k, 4])
+            for column in range(boxes[k, 2], boxes[k, 3] + 1):
                 x = ((column + 0.5 - margin) * cell - cx) / fx
                 length = np.sqrt(x * x + y * y + 1.0)
                 dz = (x * axes[2, 0] + y * axes[2, 1] + axes[2, 2]) / length
@@ -373,7 +445,7 @@ def _draw_drops(layer, drops, boxes, row_starts, members, view, axes, source, le
                     layer[row, column, channel] += free * weight * color[channel]
 
 
-@numba.njit(cache=True, nogil=NOGIL)
+@numba.njit(cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
 @no_type_check
 def _noise(u, v, size, seed, lattice):
     """Smooth noise 0..1 over the pane; `lattice` holds a cell and its corners from one call to the next."""
@@ -392,39 +464,69 @@ def _noise(u, v, size, seed, lattice):
     return lower + above * (upper - lower)
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL)
+@numba.njit(cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
 @no_type_check
-def _draw_veil(layer, view, axes, low, film, film_cell, dirt, blade, blurred, seed):
-    """Add film and dirt, which spread light, and the blade, which hides it."""
+def _plane(axes):
+    """Axes of the pane, two and the normal, and the origin along each: numbers, not an array that might change."""
+    right, up, normal, origin = axes
+    along = 0.0, 0.0, 0.0
+    for k in range(3):
+        along = along[0] + right[k] * origin[k], along[1] + up[k] * origin[k], along[2] + normal[k] * origin[k]
+    return (right[0], right[1], right[2]), (up[0], up[1], up[2]), (normal[0], normal[1], normal[2]), along
+
+
+@numba.njit(cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
+@no_type_check
+def _place(x, y, plane):
+    """Place on the pane that the ray (x, y, 1) meets, and whether it meets one."""
+    right, up, normal, origin = plane
+    along = x * normal[0] + (y * normal[1] + normal[2])
+    path = origin[2] / max(along, 0.01)
+    u = path * (x * right[0] + (y * right[1] + right[2])) - origin[0]
+    return u, path * (x * up[0] + (y * up[1] + up[2])) - origin[1], along > 0.01
+
+
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
+@no_type_check
+def _draw_dirt(coverage, view, axes, seed):
     fx, fy, cx, cy, cell, margin = view
-    to_pane = axes[3, 0] * axes[2, 0] + axes[3, 1] * axes[2, 1] + axes[3, 2] * axes[2, 2]
-    mean = np.zeros(3)
-    for channel in range(3):
-        mean[channel] = blurred[:, :, channel].mean()
-    tall, wide = blurred.shape[0], blurred.shape[1]
-    height, width = (layer.shape[0] - 2 * margin) * cell, (layer.shape[1] - 2 * margin) * cell
-    for row in numba.prange(layer.shape[0]):
+    for row in numba.prange(coverage.shape[0]):
+        plane = _plane(axes)
         coarse, fine = np.full(6, np.inf), np.full(6, np.inf)
         y = ((row + 0.5 - margin) * cell - cy) / fy
-        for column in range(layer.shape[1]):
-            x = ((column + 0.5 - margin) * cell - cx) / fx
-            along = x * axes[2, 0] + y * axes[2, 1] + axes[2, 2]
-            if along <= 0.01:
+        for column in range(coverage.shape[1]):
+            u, v, is_met = _place(((column + 0.5 - margin) * cell - cx) / fx, y, plane)
+            if not is_met:
                 continue
-            path = to_pane / along
-            px, py, pz = path * x - axes[3, 0], path * y - axes[3, 1], path - axes[3, 2]
-            u = px * axes[0, 0] + py * axes[0, 1] + pz * axes[0, 2]
-            v = px * axes[1, 0] + py * axes[1, 1] + pz * axes[1, 2]
-            from_pivot = np.sqrt((u - PIVOT_M[0]) ** 2 + (v - PIVOT_M[1]) ** 2)
-            is_wiped = blade >= 0.0 and INNER_M <= from_pivot <= OUTER_M
+            spots = 0.6 * _noise(u, v, _DIRT_M[0], seed, coarse)
+            spots += 0.4 * _noise(u, v, _DIRT_M[1], seed + np.uint32(1), fine)
+            coverage[row, column] = _DIRT_SHARE * (0.3 + 1.4 * max(spots - 0.25, 0.0))
+
+
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
+@no_type_check
+def _draw_veil(layer, view, axes, low, film, film_cell, amount, dirt, blade, blurred, mean):
+    """Add film and dirt, which spread light, and the blade, which hides it."""
+    fx, fy, cx, cy, cell, margin = view
+    step, first = cell / fx, cx / fx
+    tall, wide = blurred.shape[0], blurred.shape[1]
+    down, across = tall / (layer.shape[0] - 2 * margin), wide / (layer.shape[1] - 2 * margin)
+    to_u, to_v, points_m = np.cos(blade), np.sin(blade), 1.0 / film_cell
+    for row in numba.prange(layer.shape[0]):
+        plane, y = _plane(axes), ((row + 0.5 - margin) * cell - cy) / fy
+        for column in range(layer.shape[1]):
+            u, v, is_met = _place((column + 0.5 - margin) * step - first, y, plane)
+            if not is_met:
+                continue
+            from_pivot = 0.0
+            if blade >= 0.0:
+                from_pivot = np.sqrt((u - PIVOT_M[0]) ** 2 + (v - PIVOT_M[1]) ** 2)
             dirty = 0.0
-            if dirt > 0.0:
-                spots = 0.6 * _noise(u, v, _DIRT_M[0], seed, coarse)
-                spots += 0.4 * _noise(u, v, _DIRT_M[1], seed + np.uint32(1), fine)
-                dirty = _DIRT_SHARE * dirt * (0.3 + 1.4 * max(spots - 0.25, 0.0))
-                if is_wiped:
+            if len(dirt) > 0:
+                dirty = amount * dirt[row, column]
+                if blade >= 0.0 and INNER_M <= from_pivot <= OUTER_M:
                     dirty *= _WIPED_SHARE
-            film_x, film_y = (u - low[0]) / film_cell, (v - low[1]) / film_cell
+            film_x, film_y = (u - low[0]) * points_m, (v - low[1]) * points_m
             depth = 0.0
             if 0.0 <= film_x < film.shape[1] - 1 and 0.0 <= film_y < film.shape[0] - 1:
                 i, j = int(film_x), int(film_y)
@@ -436,14 +538,14 @@ def _draw_veil(layer, view, axes, low, film, film_cell, dirt, blade, blurred, se
             if blade >= 0.0 and from_pivot < OUTER_M:
                 half = 0.5 * (BLADE_M if from_pivot > INNER_M else _ARM_M)
                 du, dv = u - PIVOT_M[0], v - PIVOT_M[1]
-                if du * np.cos(blade) + dv * np.sin(blade) > 0.0:
-                    off = abs(dv * np.cos(blade) - du * np.sin(blade))
+                if du * to_u + dv * to_v > 0.0:
+                    off = abs(dv * to_u - du * to_v)
                     covered = min(max((half - off) / 0.001 + 0.5, 0.0), 1.0)
             if dirty + wet + covered <= 0.0:
                 continue
             # The film, and dirt in front of it, spread the light of what is around.
-            i = min(max(int((column + 0.5 - margin) * cell / width * wide), 0), wide - 1)
-            j = min(max(int((row + 0.5 - margin) * cell / height * tall), 0), tall - 1)
+            i = min(max(int((column + 0.5 - margin) * across), 0), wide - 1)
+            j = min(max(int((row + 0.5 - margin) * down), 0), tall - 1)
             behind = (1.0 - layer[row, column, 3]) * covered
             for channel in range(3):
                 light = layer[row, column, channel] + behind * _BLADE_LIGHT
@@ -454,7 +556,7 @@ def _draw_veil(layer, view, axes, low, film, film_cell, dirt, blade, blurred, se
             layer[row, column, 3] = 1.0 - clear
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL)
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
 @no_type_check
 def _blurred(layer, radii):
     """Average over disks, with the radius of each row in cells; not at the sides of the layer, a radius wide."""
@@ -497,49 +599,52 @@ def _blurred(layer, radii):
     return made
 
 
-@numba.njit(cache=True, nogil=NOGIL)
+@numba.njit(cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
 @no_type_check
 def _add_chord(made, sums_to, to, right, sums_from, start, left, weight):
     for n in range(len(made)):
         made[n] += weight * (sums_to[n] - sums_from[n] + (right * to[n] - left * start[n]))
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL)
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
 @no_type_check
 def _composite(image, layer, cell, margin, linear, tones, made):
     """I (1 - c) + L, with the layer interpolated between the centers of its cells; cells have 1, 2, 4... pixels."""
     height, width, top = image.shape[0], image.shape[1], np.float32(len(tones) - 1)
-    half, step = np.float32(0.5), np.float32(1 / cell)
+    half, step, one, last = np.float32(0.5), np.float32(1 / cell), np.uint32(1), 4 * layer.shape[1]
     nearest = np.float32(0.5 / cell if cell > 1 else 0.0)  # from a cell's center to the first pixel after it, in cells
+    flat = layer.reshape(layer.shape[0], last)
     for y in numba.prange(height):
         place = np.float32((y + 0.5) / cell - 0.5) + np.float32(margin)
         row = int(place)
         below = place - np.float32(row)
-        between = np.empty((layer.shape[1], 4), np.float32)
-        for column in range(layer.shape[1]):
-            for channel in range(4):
-                upper = layer[row, column, channel]
-                lower = layer[row + 1, column, channel]
-                between[column, channel] = top * min(upper + below * (lower - upper), np.float32(1))
-        pixels, target = image[y], made[y]
+        between, upper, lower = np.empty(last, np.float32), flat[row], flat[row + 1]
+        for i in range(last):
+            between[i] = top * min(upper[i] + below * (lower[i] - upper[i]), np.float32(1))
+        pixels, target = image[y].reshape(3 * width), made[y].reshape(3 * width)
         for column in range(margin - 1, layer.shape[1] - margin):
             # Pixels between the centers of two cells.
             first = cell * (column - margin) + cell // 2
             start, end = max(first, 0), min(first + cell, width)
-            a, b = between[column], between[column + 1]
-            if max(a[3], b[3]) < np.float32(1e-4) * top:
-                for x in range(start, end):
-                    for channel in range(3):
-                        target[x, channel] = pixels[x, channel]
+            c, d = 4 * column, 4 * column + 4
+            covered, covered_next = between[c + 3], between[d + 3]
+            if max(covered, covered_next) < np.float32(1e-4) * top:
+                for i in range(3 * start, 3 * end):
+                    target[i] = pixels[i]
                 continue
-            open_share, more = top - a[3], a[3] - b[3]
-            red, green, blue = a[0] + half, a[1] + half, a[2] + half
-            more_red, more_green, more_blue = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-            for x in range(start, end):
-                right = nearest + step * np.float32(x - first)
-                share = open_share + right * more
-                # Never negative, but Numba would look: it takes negative indices for those from the end.
-                i = np.uint32(np.int32(min(linear[pixels[x, 0]] * share + (red + right * more_red), top)))
-                j = np.uint32(np.int32(min(linear[pixels[x, 1]] * share + (green + right * more_green), top)))
-                k = np.uint32(np.int32(min(linear[pixels[x, 2]] * share + (blue + right * more_blue), top)))
-                target[x, 0], target[x, 1], target[x, 2] = tones[i], tones[j], tones[k]
+            right = nearest + step * np.float32(start - first)
+            red, green, blue, share = between[c], between[c + 1], between[c + 2], top - covered
+            more_red, more_green, more_blue = between[d] - red, between[d + 1] - green, between[d + 2] - blue
+            more = covered - covered_next
+            red, green = red + half + right * more_red, green + half + right * more_green
+            blue, share = blue + half + right * more_blue, share + right * more
+            more_red, more_green, more_blue, more = step * more_red, step * more_green, step * more_blue, step * more
+            # Nothing is negative, but Numba would look: it takes negative indices for those from the end.
+            i = np.uint32(3 * start)
+            for _ in range(end - start):
+                j, k = i + one, i + one + one
+                target[i] = tones[np.uint32(np.int32(min(linear[pixels[i]] * share + red, top)))]
+                target[j] = tones[np.uint32(np.int32(min(linear[pixels[j]] * share + green, top)))]
+                target[k] = tones[np.uint32(np.int32(min(linear[pixels[k]] * share + blue, top)))]
+                red, green, blue, share = red + more_red, green + more_green, blue + more_blue, share + more
+                i = k + one

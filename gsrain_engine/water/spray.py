@@ -227,8 +227,9 @@ def _motion(
     part = part[:, None]
     to_world = scene.scene_to_world
     places = (1 - part) * track.positions[lower] + part * track.positions[upper]
-    ahead = matrices_from_quaternions(track.quaternions_wxyz)[:, :, 0] @ to_world[:3, :3].T
-    ahead = ((1 - part) * ahead[lower] + part * ahead[upper])[:, :2]
+    turns = matrices_from_quaternions(track.quaternions_wxyz[np.concatenate([lower, upper])])
+    before, after = np.split(turns[:, :, 0] @ to_world[:3, :3].T, 2)
+    ahead = ((1 - part) * before + part * after)[:, :2]
     ahead = ahead / np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-9)
     positions = places @ to_world[:3, :3].T + to_world[:3, 3] - [0.0, 0.0, above_m]
     return VehicleMotion(name, size_lwh_m, wheels, positions, ahead, np.asarray(track.valid[lower], np.bool_))

@@ -12,18 +12,29 @@ from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.edits.members import set_visible
 from gsrain_engine.editor.edits.rain_keyframes import replace_keyframes, set_keyframe_number
 from gsrain_engine.editor.jobs.job import JobError
+from gsrain_engine.editor.scene_setup import OBJECT_AIR, SETUP_MM_H
 from gsrain_engine.rain.calibration import load_calibration
 from gsrain_engine.rain.keyframes import RainKeyframe, RainKeyframes
 from gsrain_engine.rain.settings import HEAVIEST_MM_H, RainSettings
 from gsrain_engine.rain.simulation import RainSimulation
+from gsrain_engine.scene.scene import Layer, Scene
 from oracles.drop_phases import displacement
-from small_scene import small_scene
+from small_scene import patch, small_scene
 
 
 def key_shower(editor, first_mm_h=0.0):
     rates = ((0.0, first_mm_h), (10.0, 10.0))
     keys = tuple(RainKeyframe(time_s=time, intensity_mm_h=rate) for time, rate in rates)
     editor.document.edit_keyframes("Shower", replace_keyframes, RainKeyframes(keys=keys))
+
+
+def test_the_set_up_limits_the_air_around_a_single_object(editor):
+    """Behind it, endless air would be as bright as the rain before it."""
+    pot = patch((0, 0, 0), np.array([1.0, 0, 0]), np.array([0, 0, 1.0]), 5, (0.5, 0.4, 0.3))
+    with closing(Editor(Scene("pot", (Layer("pot", pot),)))) as alone:
+        for each, air in ((editor, None), (alone, OBJECT_AIR)):
+            each.scene_setup.rain()
+            assert (each.document.rain.intensity_mm_h, each.document.rain.haze_region) == (SETUP_MM_H, air)
 
 
 def test_a_change_of_a_keyed_field_is_a_key_at_the_present_time(editor):

@@ -136,7 +136,8 @@ def test_no_drop_whose_blur_reaches_the_picture_is_left_out(renderer):
     anchor[:3, 3] = 0.0, 0.0, 1.5
     view = RainCamera(camera, anchor, np.zeros(3), focal_px=FOCAL)
     field = RainSimulation.start(RainSettings(intensity_mm_h=1.2, **lens)).frame(3.0, view)
-    wider = replace(field, culling=field.culling._replace(slopes=np.array([-9.0, 9, -9, 9])))
+    culling = field.culling._replace(slopes=np.array([-9.0, 9, -9, 9]))
+    wider = replace(field, find_drops=lambda: (field.where, culling))
     alphas = []
     for each in (field, wider):
         renderer.draw([], camera, each)

@@ -12,6 +12,7 @@ from gsrain_engine.rain.frame import RainCamera, SkyLight
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import OVERCAST, RainSimulation
 from gsrain_engine.render.cpu.renderer import CpuRenderer
+from gsrain_engine.render.draw import RenderView, rain_camera
 from gsrain_engine.render.sequence import FrameSequence
 from gsrain_engine.render.sky_color import SkyColor, sky_color
 from gsrain_engine.scene.camera import Camera, look_at
@@ -117,6 +118,18 @@ def test_there_are_no_clouds_before_black():
     assert deviations["medium"][0] < 0.5
     assert deviations["all"][1] < 0.5
     assert deviations["gaussians"][1] > 3
+
+
+def test_a_single_object_has_no_horizon():
+    """Behind it is the same air everywhere; a wide ground, or one under a sky, ends the rays that go down."""
+    rain = RainSimulation.start(RainSettings(intensity_mm_h=50.0))
+    pot = layer("pot", "background", np.random.default_rng(0).uniform(-0.5, 0.5, (500, 3)), 0.05, WALL)
+    field = layer("field", "background", np.random.default_rng(0).uniform(-50.0, 50.0, (500, 3)), 0.05, WALL)
+    floors = [
+        rain_camera(Scene("a", layers, ground_m=-1.0), rain, RenderView(camera())).floor_m
+        for layers in ((pot,), (pot, field), (pot, dome(0.0)))
+    ]
+    assert floors == [None, -1.0, -1.0]
 
 
 def test_gaps_in_the_ground_show_no_air_from_beyond_it(any_renderer):

@@ -58,6 +58,16 @@ def test_a_lantern_is_a_long_upright_streak_below_itself(y):
     assert display[0] > display[1] > display[2]
 
 
+def test_a_reflection_is_as_bright_in_a_coarse_picture():
+    item = lamp_reflections(lit(Lamp(position=(22.0, 0.0, 6.0), intensity_m2=40.0)), NONE, camera(), 0.0, 1.0)
+    means = []
+    for share in (1, 8):
+        renderer, view = CpuRenderer(), camera()
+        renderer.draw([item], view.resized(view.width // share, view.height // share))
+        means.append(float(renderer.read().rgba[..., 0].mean()))
+    assert means[0] > 0.002 and means[1] == pytest.approx(means[0], rel=0.3)
+
+
 def test_dry_ground_reflects_only_lamps_that_move():
     lantern = Lamp(position=(22.0, 0.0, 6.0), intensity_m2=40.0)
     assert lamp_reflections(lit(lantern), NONE, camera(), 0.0, 0.0) is None

@@ -194,7 +194,8 @@ def drops_of(**changes):
     rain = msgspec.structs.replace(load_preset("8.5"), seed=3, max_copies=2, haze=False, **changes)
     field = RainSimulation.start(rain).frame(12.3, RainCamera(CAMERA, ANCHOR, np.zeros(3)))
     culling = field.culling._replace(class_far_m=np.full(CLASSES, 30.0), slopes=np.array([-2.0, 2.0, -2.0, 2.0]))
-    return replace(field, count=400, culling=culling)
+    where = field.where
+    return replace(field, count=400, find_drops=lambda: (where, culling))
 
 
 def filled(context, parts, harmonics="half", rain=None, look="splats"):

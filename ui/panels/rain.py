@@ -54,7 +54,7 @@ _PRESETS = {
 """Titles of the shipped presets, and of one between them."""
 
 _PRESETS_PER_ROW = 2
-PICK_TOOL = "Pick drop color"
+PICK_TOOL = "Drop color"
 _WIND = "Wind and seed"
 _WIND_FIELDS = ("wind_speed_m_s", "wind_from_deg", "wind_m_s")
 GROUPS = (_WIND, "Glass", "Regions", "Physics", "Camera", "Lamps", "Appearance")

@@ -1,4 +1,4 @@
-"""Tools "Rain regions" and "Pick drop color": boxes of streaks and haze, and the color of drops."""
+"""Tools "Rain regions" and "Drop color": boxes of streaks and haze, and the color of drops."""
 
 from dataclasses import replace
 from functools import partial
