@@ -39,8 +39,8 @@ def publish(
 ) -> None:
     """Write one web page with a scene, a path, and its rain under a slider of intensities, beside the dry scene.
 
-    The page loads nothing and opens from a disk, in browsers with WebGL 2. Its drops are those of the desktop. It has
-    no mirror of wet ground, splashes, spray, water on glass and light of lamps.
+    The page loads nothing and opens from a disk, in browsers with WebGL 2. Its drops and splashes are those of the
+    desktop, and wet ground mirrors the scene. It has no rings, spray, water on glass and light of lamps.
     """
     if output.suffix.lower() not in PAGES:
         raise ValueError(f"--output {output}: expected the name of a web page (.html)")

@@ -14,7 +14,7 @@ layout(location = 1) out uvec4 rest;   // second axis, depth and appearance
 uniform int first_row, count;
 
 #ifdef STREAKS
-uniform sampler2D streaks;   // three texels each: center, opacity; direction, sigma along; sigma across
+uniform sampler2D streaks;   // three texels each: center, opacity; direction, sigma along; sigma across, and in a third direction
 uniform mat4 moved;          // from the frame of the camera that they were made for
 uniform vec3 display_color;
 #else
@@ -26,11 +26,17 @@ uniform sampler2D codebooks;  // 256 columns; rows: scales, base, others, and ba
 uniform vec3 means_minimum, means_maximum;
 uniform int coefficients, wet_coefficients;
 uniform mat4 object_to_camera;
-uniform vec3 camera_in_object;
 uniform float wetness;
 uniform bool antialiased, has_medium, has_actors;
 uniform sampler2D actors;  // number of each Gaussian's actor
-uniform sampler2D poses;   // a row for each actor: three rows of its matrix, and the camera in its frame; 0 does not move
+uniform sampler2D poses;   // a row for each actor: three rows of its matrix, and the height of uneven ground below it; 0 does not move
+
+// In a mirror, some Gaussians are left out, the others larger, and what is over uneven ground is moved to a level one.
+uniform bool is_mirrored, is_uneven;
+uniform highp usampler2D reflected;  // numbers of those in it, and in the upper 8 bits 1 and in steps how much larger they are
+uniform sampler2D floors;  // height of uneven ground below each Gaussian that does not move (m)
+uniform vec4 level;        // upward in the object's frame, and the height of level ground (m)
+uniform float growth_steps;
 
 vec3 looked_up(vec3 bytes, int row) {
     ivec3 at = ivec3(255.0 * bytes + 0.5);
@@ -83,38 +89,54 @@ void main() {
 #ifdef STREAKS
     ivec2 at = ivec2(3 * (number % STREAK_COLUMNS), number / STREAK_COLUMNS);
     vec4 place = texelFetch(streaks, at, 0), direction = texelFetch(streaks, at + ivec2(1, 0), 0);
-    float across = texelFetch(streaks, at + ivec2(2, 0), 0).x, opacity = place.w;
+    vec4 sideways = texelFetch(streaks, at + ivec2(2, 0), 0);
+    float opacity = place.w;
     place = moved * vec4(place.xyz, 1.0);
     direction.xyz = mat3(moved) * direction.xyz;
-    vec3 side = normalize(
-        abs(direction.x) < 0.7 ? cross(direction.xyz, vec3(1, 0, 0)) : cross(direction.xyz, vec3(0, 1, 0)));
-    mat3 axes = mat3(across * side, across * cross(direction.xyz, side), direction.w * direction.xyz);
+    vec3 side = mat3(moved) * sideways.yzw;
+    if (dot(side, side) == 0.0) {
+        side = abs(direction.x) < 0.7 ? cross(direction.xyz, vec3(1, 0, 0)) : cross(direction.xyz, vec3(0, 1, 0));
+        side *= sideways.x / length(side);
+    }
+    mat3 axes = mat3(side, sideways.x * cross(direction.xyz, normalize(side)), direction.w * direction.xyz);
     if (!project(place.xyz, axes, opacity, true, false, false, splat)) return;
     set_color(splat, display_color);
 #else
+    ivec2 own = ivec2(number % SPLAT_COLUMNS, number / SPLAT_COLUMNS);
+    float growth = 1.0;
+    if (is_mirrored) {
+        uint code = texelFetch(reflected, own, 0).r;
+        growth += (float(code >> 24) - 1.0) / growth_steps;
+        number = int(code & 0xFFFFFFu);
+        own = ivec2(number % SPLAT_COLUMNS, number / SPLAT_COLUMNS);
+    }
     ivec2 size = textureSize(means_low, 0), at = ivec2(number % size.x, number / size.x);
     vec3 steps = 255.0 * texelFetch(means_low, at, 0).rgb + 65280.0 * texelFetch(means_high, at, 0).rgb;
     vec3 logarithm = mix(means_minimum, means_maximum, steps / 65535.0);
-    vec3 mean = sign(logarithm) * (exp(abs(logarithm)) - 1.0), eye = camera_in_object;
+    vec3 mean = sign(logarithm) * (exp(abs(logarithm)) - 1.0);
     mat4 to_camera = object_to_camera;
+    int actor = 0;
     if (has_actors) {
-        ivec2 label = ivec2(255.0 * texelFetch(actors, ivec2(number % 2048, number / 2048), 0).rg + 0.5);
-        int actor = label.x + 256 * label.y;
+        ivec2 label = ivec2(255.0 * texelFetch(actors, own, 0).rg + 0.5);
+        actor = label.x + 256 * label.y;
         if (actor > 0) {
             mat4 pose;
             for (int row = 0; row < 3; ++row) pose[row] = texelFetch(poses, ivec2(row, actor), 0);
             pose[3] = vec4(0.0, 0.0, 0.0, 1.0);
             to_camera = object_to_camera * transpose(pose);
-            eye = texelFetch(poses, ivec2(3, actor), 0).xyz;
         }
     }
     vec3 p = (to_camera * vec4(mean, 1.0)).xyz;
+    if (is_mirrored && is_uneven) {
+        float floor_m = actor > 0 ? texelFetch(poses, ivec2(3, actor), 0).r : texelFetch(floors, own, 0).r;
+        p += (level.w - floor_m) * (mat3(object_to_camera) * level.xyz);
+    }
     if (!(p.z > near)) return;  // also where it is absent
     mat3 axes = mat3(to_camera) * rotation_matrix(quaternion(texelFetch(quaternions, at, 0)));
-    vec3 s = exp(looked_up(texelFetch(scales, at, 0).rgb, 0));
+    vec3 s = exp(looked_up(texelFetch(scales, at, 0).rgb, 0)) * growth;
     axes = mat3(axes[0] * s.x, axes[1] * s.y, axes[2] * s.z);
     if (!project(p, axes, texelFetch(base, at, 0).a, false, false, antialiased, splat)) return;
-    vec3 direction = normalize(mean - eye);
+    vec3 direction = normalize(transpose(mat3(to_camera)) * p);
     vec3 color = color_of(at, direction, base, labels, centroids, coefficients, 1);
     if (wetness > 0.0) {
         vec3 wet = color_of(at, direction, wet_base, wet_labels, wet_centroids, wet_coefficients, 3);

@@ -11,8 +11,10 @@ uniform vec4 intrinsics;
 
 layout(location = 0) out vec4 fragment;
 layout(location = 1) out vec4 shares;
+layout(location = 2) out vec4 visible;
 
 void main() {
     fragment = medium_sky(gl_FragCoord.xy, intrinsics);
     shares = vec4(0.0, fragment.a, 0.0, 0.0);
+    visible = vec4(0.0);
 }

@@ -3,6 +3,7 @@
 
 precision highp float;
 precision highp int;
+precision highp sampler2D;
 precision highp usampler2D;
 
 #include "common_alpha.glsl"
@@ -13,9 +14,12 @@ uniform usampler2D order;          // numbers of splats
 uniform vec2 image_size;           // px
 uniform int drawn_count, scene_count, first_streak_row;
 uniform bool falls;                // false leaves out streaks
+uniform sampler2D water;           // shares of film and standing water of each Gaussian
+uniform bool is_mirrored;          // depth takes the place of water
 
 out vec2 offset;
 flat out vec4 color_log_alpha;
+flat out vec2 more;                // water, or depth (m)
 flat out int is_rain;
 
 const float STANDARD_DEVIATIONS = 1.17741002251547;  // sqrt(2 log 2), of offset 1
@@ -34,6 +38,7 @@ void main() {
     uvec4 rest = texelFetch(rests, at, 0);
     float alpha = alpha_in(rest.zw);
     if (!(alpha > 0.0)) return;
+    more = is_mirrored ? vec2(uintBitsToFloat(rest.y), 0.0) : is_rain != 0 ? vec2(0.0) : texelFetch(water, at, 0).rg;
     vec4 shape = uintBitsToFloat(texelFetch(shapes, at, 0));
     color_log_alpha = vec4(color_in(rest.zw), log2(alpha));
     float reach = sqrt(max(color_log_alpha.a - log2(is_rain != 0 ? RAIN_ALPHA_CUT : SCENE_ALPHA_CUT), 0.0));

@@ -1,8 +1,9 @@
 """A scene and its rain as one web page: the scene as a SOG file, a path, and the desktop's rain and shaders.
 
-The page draws what `gsrain render` draws, but for what `left_out_of_page` lists. Its rain is that of `rain.js`, which
-computes the integers of `drop_field.py` again, and its shaders share their common parts with the desktop's. Viewers
-of others draw no streaks: an alpha of 0.01 is below what they keep in eight bits, and rain adds in linear light.
+The page draws what `gsrain render` draws, but for what `left_out_of_page` lists. Its drops are those of `rain.js` and
+`splashes.js`, which compute the integers of `drop_field.py` and `impacts.py` again, its mirror of wet ground is that of
+`mirror.js`, and its shaders share their common parts with the desktop's. Viewers of others draw no streaks: an alpha of
+0.01 is below what they keep in eight bits, and rain adds in linear light.
 """
 
 import base64
@@ -32,20 +33,25 @@ from ..scene.geometry import quaternions_from_matrices
 from ..scene.progress import Progress
 from ..scene.scene import Scene
 from ..scene.transforms import world_to_file
-from .page_scene import POSE_STEP_S, PageScene, page_scene
+from .page_ground import PageGround, page_ground
+from .page_mirror import PageMirror, page_mirror
+from .page_scene import COLUMNS, POSE_STEP_S, PageScene, page_scene
 from .rain_states import STEPS_MM_H, RainStates, check_rain, rain_states
 
 LONGEST_S = 600.0
 """Longest path on a page."""
 
 _STEP_S = 1 / 30  # between the cameras of the path
-_COLUMNS = {"SPLAT_COLUMNS": 2048, "STREAK_COLUMNS": 512}  # of the data textures
+_COLUMNS = {"SPLAT_COLUMNS": COLUMNS, "STREAK_COLUMNS": 512}  # of the data textures
 _SHADERS = (
     "page_quad.vert",
     "page_project.frag",
     "page_splat.vert",
     "page_splat.frag",
     "page_sky.frag",
+    "page_mirror_light.frag",
+    "page_mirror_columns.frag",
+    "page_mirror_rows.frag",
     "page_picture.frag",
 )
 _KEYS = (
@@ -75,6 +81,8 @@ class PageContents:
     """Cameras of the path, `_STEP_S` apart."""
     floors_m: Sequence[float | None]
     """Heights of the ground below them, where they are known."""
+    ground: PageGround | None = None
+    mirror: PageMirror | None = None
     start_s: float = 0.0
     """Time of the scene and of the rain at the start of the path."""
     missing: Sequence[str] = ()
@@ -103,7 +111,7 @@ def write_page(
     time_s = sequence.start_s
     rainiest = RainSimulation.start(structs.replace(rain, intensity_mm_h=STEPS_MM_H[-1]))
     sky = replace(sequence, rainfall=rainiest).sky(renderer)  # its clouds, too, where the rain itself is off
-    content = yield from page_scene(scene, time_s, length_s)
+    content = yield from page_scene(scene, time_s, length_s, mirror=rain.mirror)
     yield Progress(0.9, "Writing the page")
     views = [sequence.shot_at(time_s + step * _STEP_S) for step in range(round(length_s / _STEP_S) + 1)]
     exposure_s = sequence.rainfall.exposure_s(views[0].camera)
@@ -111,8 +119,9 @@ def write_page(
     states = rain_states(rain, scene, {False: sky.at(0.0), True: sky.at(1.0)}, cameras, exposure_s)
     floors = [rain_camera(scene, sequence.rainfall, view).floor_m for view in views]
     contents = PageContents(
-        scene.name, path_name, content, states, views, floors, time_s, missing=left_out_of_page(scene)
-    )
+        scene.name, path_name, content, states, views, floors, page_ground(scene, cameras),
+        page_mirror(scene, states.states), time_s, left_out_of_page(scene),
+    )  # fmt: skip
     with whole_file(output) as written:
         written.write_text(page_html(contents), encoding="utf-8")
     return contents
@@ -120,8 +129,8 @@ def write_page(
 
 def left_out_of_page(scene: Scene) -> list[str]:
     """Phrases for what a page lacks of the rain in a scene."""
-    lamps = ["the light of lamps on rain"] if scene.lamps else []
-    return [*lamps, "the mirror of wet ground", "splashes", "spray", "water on glass"]
+    lamps = ["the light of lamps on rain and wet ground"] if scene.lamps else []
+    return [*lamps, "rings in water", "spray", "water on glass"]
 
 
 def page_html(contents: PageContents) -> str:
@@ -132,7 +141,8 @@ def page_html(contents: PageContents) -> str:
     )  # fmt: skip
     texts = {name: ShaderSource(name, _COLUMNS).text for name in _SHADERS}
     texts["page_project.frag streaks"] = ShaderSource("page_project.frag", {**_COLUMNS, "STREAKS": 1}).text
-    texts["rain-script"] = (Path(__file__).parent / "rain.js").read_text(encoding="utf-8")
+    scripts = ((Path(__file__).parent / name).read_text(encoding="utf-8") for name in ("rain.js", "splashes.js"))
+    texts["rain-script"] = "\n".join(scripts)
     return environment.get_template("page.html").render(
         title=contents.title, path_name=contents.path_name, about=_ABOUT, keys=_KEYS,
         missing=", ".join(contents.missing), version=metadata.version("gsrain"), settings=_script(_settings(contents)),
@@ -142,11 +152,15 @@ def page_html(contents: PageContents) -> str:
 
 def _archive(contents: PageContents) -> bytes:
     """All files of a page in a zip file; images are compressed already."""
-    scene, roofs = contents.scene, contents.rain.roofs
+    scene, roofs, ground, mirror = contents.scene, contents.rain.roofs, contents.ground, contents.mirror
     files = {"scene.sog": scene.sog}
     files |= {f"wet/{name}": file for name, file in (scene.wet_colors or {}).items()}
     files |= {} if scene.actors is None else {"actors.webp": scene.actors, "poses": scene.poses.tobytes()}
+    files |= {"impacts": contents.rain.impacts.tobytes()}
     files |= {} if roofs is None else {"roofs": roofs.heights_m.tobytes()}
+    files |= {} if ground is None else {"ground.webp": ground.image}
+    if mirror is not None and scene.water is not None:
+        files |= {"water.webp": scene.water, "facets": mirror.facets.tobytes(), "floors": scene.floors_m.tobytes()}
     whole = io.BytesIO()
     with zipfile.ZipFile(whole, "w") as archive:
         for name, file in files.items():
@@ -172,6 +186,8 @@ def _settings(contents: PageContents) -> dict[str, Any]:
         "toWorld": {"rotation": file_to_world[:3, :3].tolist(), "origin": file_to_world[:3, 3].tolist()},
         "antialiased": contents.scene.antialiased,
         "hasWet": contents.scene.wet_colors is not None,
+        "map": None if contents.ground is None else contents.ground.settings,
+        "mirror": None if contents.mirror is None else contents.mirror.settings,
         "actors": len(contents.scene.poses),
         "poseStep": POSE_STEP_S,
         "start": contents.start_s,

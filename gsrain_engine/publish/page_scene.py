@@ -8,17 +8,21 @@ from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Float32, Float64, Int64
+from jaxtyping import Float, Float32, Float64, Int64, UInt8
 from PIL import Image
 
+from ..render.mirror import reflecting_items
 from ..scene.formats.sog_writer import coded, encode_harmonics, image_columns, lossless_image, write_sog
 from ..scene.gaussians import SH_C0, Gaussians
 from ..scene.lod_order import morton_order
 from ..scene.progress import Progress
 from ..scene.scene import Actor, DrawItem, Layer, Scene
 from ..scene.transforms import bake_item, transform_gaussians, world_to_file
+from .page_mirror import floors_below, water_codes
 
 POSE_STEP_S = 0.1  # between the poses of actors, as recordings have them
+COLUMNS = 2048
+"""Columns of images with a pixel for each Gaussian."""
 WET_STEPS = 85
 """Steps of a soaked color from 0 to 1. Colors from -1 to 2 have one of 256 numbers."""
 
@@ -37,14 +41,28 @@ class PageScene(NamedTuple):
     """Lossless image with a pixel for each Gaussian: number of its actor, red and 256 green; 0 does not move."""
     poses: Float32[np.ndarray, "actors steps 3 4"]
     """From an actor's first place to that at a time, NaN while it is absent."""
+    floors_m: Float32[np.ndarray, "actors steps"]
+    """Heights of uneven ground below the origins of actors; 0 elsewhere."""
+    water: bytes | None
+    """Lossless image with the `water_codes` of each Gaussian; None without a mirror."""
     antialiased: bool
 
 
-def page_scene(scene: Scene, start_s: float, length_s: float) -> Generator[Progress, None, PageScene]:
-    """Prepare all that is visible at any time of a path."""
+class _Merged(NamedTuple):
+    gaussians: Gaussians
+    labels: Int64[np.ndarray, " n"]
+    water: UInt8[np.ndarray, "n 3"] | None
+
+
+def page_scene(
+    scene: Scene, start_s: float, length_s: float, *, mirror: bool = False
+) -> Generator[Progress, None, PageScene]:
+    """Prepare all that is visible at any time of a path; with a `mirror`, wet ground is as it is below its water."""
+    mirror = mirror and scene.water is not None
     times_s = start_s + POSE_STEP_S * np.arange(int(np.ceil(length_s / POSE_STEP_S)) + 1)
     items: list[tuple[Layer | Actor, float, int]] = []
     poses: list[Float32[np.ndarray, "steps 3 4"]] = []
+    floors: list[Float32[np.ndarray, " steps"]] = []
     for member in scene.members:
         places = [scene.part(member, float(t)) for t in times_s] if member.visible else []
         first = next((k for k, place in enumerate(places) if place is not None), None)
@@ -53,18 +71,22 @@ def page_scene(scene: Scene, start_s: float, length_s: float) -> Generator[Progr
         moves = _moves(places, first)
         is_moving = isinstance(member, Actor) and not np.array_equal(moves, np.broadcast_to(moves[first], moves.shape))
         poses += [moves] if is_moving else []
+        floors += [floors_below(places, scene.water)] if is_moving else []
         items.append((member, float(times_s[first]), len(poses) if is_moving else 0))
     yield Progress(0.1, "Compressing the scene")
-    dry, labels = _merged(scene, items, 0.0)
+    dry, labels, water = _merged(scene, items, 0.0, mirror=mirror)
     order = morton_order(dry)
     sog = sog_bytes(dry)
     wet = None
     if scene.has_wet_colors:
         yield Progress(0.5, "Compressing the wet colors")
-        soaked = _merged(scene, items, 1.0)[0].sh
+        soaked = _merged(scene, items, 1.0, mirror=mirror).gaussians.sh
         wet = wet_files(dry.sh[order], soaked[order])
     moved = np.stack(poses) if poses else np.zeros((0, len(times_s), 3, 4), np.float32)
-    return PageScene(sog, wet, _label_image(labels[order]) if poses else None, moved, dry.antialiased)
+    below = np.stack(floors) if floors else np.zeros((0, len(times_s)), np.float32)
+    actors = _label_image(labels[order]) if poses else None
+    shares = None if water is None else lossless_image(water[order], COLUMNS)
+    return PageScene(sog, wet, actors, moved, below, shares, dry.antialiased)
 
 
 def _moves(places: Sequence[DrawItem | None], first: int) -> Float32[np.ndarray, "steps 3 4"]:
@@ -80,17 +102,21 @@ def _moves(places: Sequence[DrawItem | None], first: int) -> Float32[np.ndarray,
 
 
 def _merged(
-    scene: Scene, items: Sequence[tuple[Layer | Actor, float, int]], wetness: float
-) -> tuple[Gaussians, Int64[np.ndarray, " n"]]:
-    """All Gaussians in the frame of single-file scenes, and the numbers of their actors."""
+    scene: Scene, items: Sequence[tuple[Layer | Actor, float, int]], wetness: float, *, mirror: bool
+) -> _Merged:
+    """All Gaussians in the frame of single-file scenes, the numbers of their actors, and the water on them."""
     parts: list[Gaussians] = []
     labels: list[Int64[np.ndarray, " n"]] = []
+    water: list[UInt8[np.ndarray, "n 3"]] = []
     for member, time_s, label in items:
         item = scene.part(member, time_s, wetness=wetness)
         assert item is not None
+        if mirror:
+            (item,) = reflecting_items([item], scene)
+            water.append(water_codes(item, scene))
         parts.append(transform_gaussians(bake_item(item), _to_file(item)))
         labels.append(np.full(len(parts[-1]), label))
-    return Gaussians.concatenate(parts), np.concatenate(labels)
+    return _Merged(Gaussians.concatenate(parts), np.concatenate(labels), np.concatenate(water) if water else None)
 
 
 def _to_file(item: DrawItem) -> Float64[np.ndarray, "4 4"]:
@@ -134,9 +160,8 @@ def _wet_steps(base: Float[np.ndarray, "*n"]) -> Int64[np.ndarray, "*n"]:
 
 
 def _label_image(labels: Int64[np.ndarray, " n"]) -> bytes:
-    columns = 2048
-    pixels = np.zeros((-(-len(labels) // columns) * columns, 3), np.uint8)
+    pixels = np.zeros((-(-len(labels) // COLUMNS) * COLUMNS, 3), np.uint8)
     pixels[: len(labels), 0], pixels[: len(labels), 1] = labels & 255, labels >> 8
     file = io.BytesIO()
-    Image.fromarray(pixels.reshape(-1, columns, 3)).save(file, "WEBP", lossless=True)
+    Image.fromarray(pixels.reshape(-1, COLUMNS, 3)).save(file, "WEBP", lossless=True)
     return file.getvalue()

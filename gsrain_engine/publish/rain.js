@@ -12,10 +12,12 @@ const GUST_SPEED = 2, GUST_LENGTH = 36, MIN_PERIODS = 2.25, DRIFT_HEIGHT = 3, WI
 const RATES = [7, 11.3, 18.1].map(period => 2 * Math.PI / period), WAVENUMBERS = RATES.map(rate => rate / GUST_SPEED);
 const GRAVITY = 9.81, EDDY_LENGTH = 3, OWN_STEPS = 147.8, MIN_FALL = 0.05;
 const STREAK_REACH = 2, MAX_STRETCH = 2, NEAREST_STREAK = 0.2;
-const STREAK_FLOATS = 12;  // of a streak Gaussian, in the camera's frame: center, opacity; direction, sigma along; sigma across
+const STREAK_FLOATS = 12;  // of a streak Gaussian, in the camera's frame: center, opacity; direction, sigma along; sigma across,
+// and, where it differs in the third direction, that one times its sigma
+const BEFORE_GROUND = 0.75, MOST_BEFORE_GROUND = 0.15;  // by which splashes are moved towards the camera, and largest share
 
 // Four random words of four words (pcg4d: Jarzynski and Olano 2020).
-let hashX = 0, hashY = 0, hashZ = 0;
+let hashX = 0, hashY = 0, hashZ = 0, hashW = 0;
 function hash(x, y, z, w) {
   x = (Math.imul(x, 1664525) + 1013904223) | 0;
   y = (Math.imul(y, 1664525) + 1013904223) | 0;
@@ -25,7 +27,8 @@ function hash(x, y, z, w) {
   z = (z + Math.imul(x, y)) | 0; w = (w + Math.imul(y, z)) | 0;
   x ^= x >>> 16; y ^= y >>> 16; z ^= z >>> 16; w ^= w >>> 16;
   x = (x + Math.imul(y, w)) | 0; y = (y + Math.imul(z, x)) | 0; z = (z + Math.imul(x, y)) | 0;
-  hashX = x >>> 0; hashY = y >>> 0; hashZ = z >>> 0;
+  w = (w + Math.imul(y, z)) | 0;
+  hashX = x >>> 0; hashY = y >>> 0; hashZ = z >>> 0; hashW = w >>> 0;
 }
 
 function ownSteps(drawn) {  // sum of four bytes, less its mean
@@ -251,61 +254,13 @@ class Rain {
     return found;
   }
 
-  // Streak Gaussians in the camera's frame, `STREAK_FLOATS` each.
+  // Gaussians of streaks and splashes in the camera's frame, `STREAK_FLOATS` each.
   streaks(time, camera) {
-    const cell = this._cell(time, camera), shutter = this._shutter(camera), {settings} = this;
-    const {exposure, focal, aperture, focus, readout, scan} = shutter;
-    const eye = camera.position.map((each, k) => each - cell.center[k]), axes = camera.axes;
-    let rows = new Float32Array(STREAK_FLOATS * 4096), count = 0;
-    const [[rx, ry, rz], [dx, dy, dz], [ax, ay, az]] = axes, [eyeX, eyeY, eyeZ] = eye, across = Math.sqrt(2 * Math.PI);
-    const p = [0, 0, 0], v = [0, 0, 0], [ownX, ownY, ownZ] = camera.velocity;
-    const turn = (to, x, y, z) => {
-      to[0] = rx * x + ry * y + rz * z; to[1] = dx * x + dy * y + dz * z; to[2] = ax * x + ay * y + az * z;
-    };
-    this._visible(cell, camera, (number, c, x, y, z, moves) => {
-      turn(p, x - eyeX, y - eyeY, z - eyeZ);
-      turn(v, moves[0] - ownX, moves[1] - ownY, moves[2] - ownZ);
-      const millimeters = this.diameters[c], diameter = 1e-3 * millimeters;
-      let stretch = 1;
-      if (readout > 0 && p[2] > 0) {
-        const slope = p[1] / p[2], rate = scan[0] * (v[1] - slope * v[2]) / p[2];
-        stretch = 1 / Math.max(1 - readout * rate, 1 / MAX_STRETCH);
-        const later = Math.min(Math.max(readout * stretch * (scan[0] * slope + scan[1]), -readout), readout);
-        for (let k = 0; k < 3; ++k) p[k] += later * v[k];
-      }
-      const distance = Math.max(Math.hypot(p[0], p[1], p[2]), 1e-9), speed = Math.hypot(v[0], v[1], v[2]);
-      const along = (v[0] * p[0] + v[1] * p[1] + v[2] * p[2]) / distance;
-      const sideways = Math.sqrt(Math.max(speed * speed - along * along, 0)), limit = focal * diameter;
-      let alpha = Math.min(1, diameter / Math.max(sideways * exposure, 1e-12)) * Math.min(1, limit / Math.max(p[2], 1e-9));
-      if (p[2] > settings.criticalHaze * limit) alpha = settings.hazeOpacity;
-      alpha = Math.min(1, settings.streakGain * alpha);
-      let opacity = 1 - (1 - alpha) ** (1 / across);
-      const length = speed * exposure * stretch, ratio = millimeters > 1 ? -0.07 * millimeters + 1.07 : 1;
-      const copies = Math.min(Math.max(Math.round(length / (ratio * diameter)), 1), settings.maxCopies);
-      let sigma = Math.sqrt(Math.PI / 32) * Math.max(diameter, p[2] / focal) * (alpha / Math.max(across * opacity, 1e-30));
-      let sigmaAlong = Math.max(length / copies, sigma);
-      if (aperture > 0) {
-        const blur = aperture * Math.abs(1 - p[2] / focus) / 4, sine = sideways / Math.max(speed, 1e-9);
-        const apparent = Math.hypot(sigmaAlong * sine, sigma * Math.sqrt(Math.max(1 - sine * sine, 0)));
-        opacity *= sigma / Math.hypot(sigma, blur) * apparent / Math.hypot(apparent, blur);
-        sigma = Math.hypot(sigma, blur);
-        sigmaAlong = Math.hypot(sigmaAlong, blur);
-      }
-      if ((count + copies) * STREAK_FLOATS > rows.length) {
-        const more = new Float32Array(2 * rows.length);
-        more.set(rows);
-        rows = more;
-      }
-      const scale = 1 / Math.max(speed, 1e-9);
-      for (let copy = 0; copy < copies; ++copy) {
-        const offset = (copy - (copies - 1) / 2) * (length / copies) * scale, base = STREAK_FLOATS * count++;
-        for (let k = 0; k < 3; ++k) { rows[base + k] = p[k] + offset * v[k]; rows[base + 4 + k] = scale * v[k]; }
-        rows[base + 3] = opacity;
-        rows[base + 7] = sigmaAlong;
-        rows[base + 8] = sigma;
-      }
-    });
-    return rows.subarray(0, STREAK_FLOATS * count);
+    const cell = this._cell(time, camera), rows = new StreakRows(this.settings, this._shutter(camera), camera);
+    const [eyeX, eyeY, eyeZ] = camera.position.map((each, k) => each - cell.center[k]);
+    this._visible(cell, camera, (number, c, x, y, z, moves) => rows.addDrop(x - eyeX, y - eyeY, z - eyeZ, moves, this.diameters[c]));
+    if (this.splashes) this.splashes.add(rows, time, camera);
+    return rows.all;
   }
 
   // Numbers, table and floor of the medium for a camera, as `RainMedium`.
@@ -339,12 +294,80 @@ class Rain {
   }
 }
 
+// Gaussians in a camera's frame, `STREAK_FLOATS` each.
+class StreakRows {
+  constructor(settings, shutter, camera) {
+    Object.assign(this, {settings, shutter, camera, count: 0, rows: new Float32Array(STREAK_FLOATS * 4096), place: [0, 0, 0], velocity: [0, 0, 0]});
+  }
+
+  get all() { return this.rows.subarray(0, STREAK_FLOATS * this.count); }
+
+  // A Gaussian; a splash is moved towards the camera and made smaller, so that the ground does not cover it.
+  add(x, y, z, opacity, direction, along, across, side, isSplash) {
+    if ((this.count + 1) * STREAK_FLOATS > this.rows.length) {
+      const more = new Float32Array(2 * this.rows.length);
+      more.set(this.rows);
+      this.rows = more;
+    }
+    const {rows} = this, base = STREAK_FLOATS * this.count++;
+    const near = isSplash ? 1 - Math.min(BEFORE_GROUND / Math.max(Math.hypot(x, y, z), 1e-6), MOST_BEFORE_GROUND) : 1;
+    rows[base] = near * x; rows[base + 1] = near * y; rows[base + 2] = near * z;
+    rows[base + 3] = opacity;
+    rows[base + 4] = direction[0]; rows[base + 5] = direction[1]; rows[base + 6] = direction[2];
+    rows[base + 7] = near * along;
+    rows[base + 8] = near * across;
+    if (side) for (let k = 0; k < 3; ++k) rows[base + 9 + k] = near * side[k];
+  }
+
+  // The streak of a drop at a place (world, from the camera) that moves (m/s) and has a diameter in mm.
+  addDrop(x, y, z, [moveX, moveY, moveZ], millimeters, isSplash = false) {
+    const {settings, place: p, velocity: v} = this, {exposure, focal, aperture, focus, readout, scan} = this.shutter;
+    const {axes, velocity: [ownX, ownY, ownZ]} = this.camera, vx = moveX - ownX, vy = moveY - ownY, vz = moveZ - ownZ, across = Math.sqrt(2 * Math.PI);
+    for (let k = 0; k < 3; ++k) {
+      const axis = axes[k];
+      p[k] = axis[0] * x + axis[1] * y + axis[2] * z;
+      v[k] = axis[0] * vx + axis[1] * vy + axis[2] * vz;
+    }
+    const diameter = 1e-3 * millimeters;
+    let stretch = 1;
+    if (readout > 0 && p[2] > 0) {
+      const slope = p[1] / p[2], rate = scan[0] * (v[1] - slope * v[2]) / p[2];
+      stretch = 1 / Math.max(1 - readout * rate, 1 / MAX_STRETCH);
+      const later = Math.min(Math.max(readout * stretch * (scan[0] * slope + scan[1]), -readout), readout);
+      for (let k = 0; k < 3; ++k) p[k] += later * v[k];
+    }
+    const distance = Math.max(Math.hypot(p[0], p[1], p[2]), 1e-9), speed = Math.hypot(v[0], v[1], v[2]);
+    const along = (v[0] * p[0] + v[1] * p[1] + v[2] * p[2]) / distance;
+    const sideways = Math.sqrt(Math.max(speed * speed - along * along, 0)), limit = focal * diameter;
+    let alpha = Math.min(1, diameter / Math.max(sideways * exposure, 1e-12)) * Math.min(1, limit / Math.max(p[2], 1e-9));
+    if (p[2] > settings.criticalHaze * limit) alpha = settings.hazeOpacity;
+    alpha = Math.min(1, settings.streakGain * alpha);
+    let opacity = 1 - (1 - alpha) ** (1 / across);
+    const length = speed * exposure * stretch, ratio = millimeters > 1 ? -0.07 * millimeters + 1.07 : 1;
+    const copies = Math.min(Math.max(Math.round(length / (ratio * diameter)), 1), settings.maxCopies);
+    let sigma = Math.sqrt(Math.PI / 32) * Math.max(diameter, p[2] / focal) * (alpha / Math.max(across * opacity, 1e-30));
+    let sigmaAlong = Math.max(length / copies, sigma);
+    if (aperture > 0) {
+      const blur = aperture * Math.abs(1 - p[2] / focus) / 4, sine = sideways / Math.max(speed, 1e-9);
+      const apparent = Math.hypot(sigmaAlong * sine, sigma * Math.sqrt(Math.max(1 - sine * sine, 0)));
+      opacity *= sigma / Math.hypot(sigma, blur) * apparent / Math.hypot(apparent, blur);
+      sigma = Math.hypot(sigma, blur);
+      sigmaAlong = Math.hypot(sigmaAlong, blur);
+    }
+    const scale = 1 / Math.max(speed, 1e-9), direction = [scale * v[0], scale * v[1], scale * v[2]];
+    for (let copy = 0; copy < copies; ++copy) {
+      const offset = (copy - (copies - 1) / 2) * (length / copies);
+      this.add(p[0] + offset * direction[0], p[1] + offset * direction[1], p[2] + offset * direction[2], opacity, direction, sigmaAlong, sigma, null, isSplash);
+    }
+  }
+}
+
 // Numbers of all Gaussians, farthest first: by two stable counting passes over 22 bits of the depth, which is positive.
 // `fixed` are positions in the world, those of `streaks` follow them; what is nearer than `near` is left out. `members` are
 // numbers of actors, whose positions move with their poses; 0 does not move.
 class DepthOrder {
-  constructor(fixed, members) {
-    Object.assign(this, {fixed, members, still: fixed});
+  constructor(fixed, members, mirror) {
+    Object.assign(this, {fixed, members, mirror, still: fixed});
     this.resize(fixed.length / 3);
   }
 
@@ -370,20 +393,24 @@ class DepthOrder {
     }
   }
 
-  of(camera, streaks, near) {
-    const {fixed, value, bits} = this, count = fixed.length / 3, more = streaks.length / STREAK_FLOATS;
+  // With `level`, their numbers among those that a mirror shows only, over level ground: its height, and the heights below actors.
+  of(camera, streaks, near, level = null) {
+    const {fixed, value, bits, members} = this, count = fixed.length / 3, more = streaks.length / STREAK_FLOATS;
+    const {reflected, floors} = level ? this.mirror : {reflected: null, floors: null}, all = reflected ? reflected.length : count;
     if (count + more > this.room) this.resize(count + 2 * more);
     const {keys, ids, spare} = this, [x, y, z] = camera.axes[2];
     const constant = -(x * camera.position[0] + y * camera.position[1] + z * camera.position[2]);
     value[0] = near;
     const first = bits[0];
     let n = 0;
-    for (let i = 0, k = 0; i < count; ++i, k += 3) {
-      const depth = x * fixed[k] + y * fixed[k + 1] + z * fixed[k + 2] + constant;
+    for (let j = 0; j < all; ++j) {
+      const i = reflected ? reflected[j] : j, k = 3 * i;
+      let depth = x * fixed[k] + y * fixed[k + 1] + z * fixed[k + 2] + constant;
+      if (floors) depth += z * (level.ground - (members && members[i] ? level.actors[members[i] - 1] : floors[i]));
       if (!(depth > near)) continue;
       value[0] = depth;
-      keys[i] = 0x3FFFFF - Math.min((bits[0] - first) >>> 6, 0x3FFFFF);
-      ids[n++] = i;
+      keys[j] = 0x3FFFFF - Math.min((bits[0] - first) >>> 6, 0x3FFFFF);
+      ids[n++] = j;
     }
     for (let i = 0; i < more; ++i) {
       const depth = streaks[STREAK_FLOATS * i + 2];
@@ -410,8 +437,11 @@ if (typeof WorkerGlobalScope !== "undefined" && self instanceof WorkerGlobalScop
   let order = null, rains = [];
   self.onmessage = ({data}) => {
     if (data.fixed) {
-      order = new DepthOrder(data.fixed, data.members);
+      order = new DepthOrder(data.fixed, data.members, data.mirror);
       rains = data.states.map(state => new Rain(data.settings, state));
+      rains.forEach((rain, k) => {
+        if (rain.state.splashes) rain.splashes = new Splashes(rain, data.impacts.subarray(2 * KNOTS * k, 2 * KNOTS * (k + 1)), data.ground);
+      });
       return;
     }
     const {camera, time, state, near} = data, rain = rains[state];
@@ -419,11 +449,12 @@ if (typeof WorkerGlobalScope !== "undefined" && self instanceof WorkerGlobalScop
       self.postMessage({id: data.id, drops: rain.drops(time, camera)});
       return;
     }
-    const falls = rain.state.density > 0, streaks = falls ? rain.streaks(time, camera) : new Float32Array(0);
+    const falls = rain.state.density > 0 || rain.splashes, streaks = falls ? rain.streaks(time, camera) : new Float32Array(0);
     if (data.poses) order.move(data.poses, data.rotation, data.origin);
-    const ids = order.of(camera, streaks, near).slice(), copy = streaks.slice();
+    const ids = order.of(camera, streaks, near).slice(), copy = streaks.slice(), {mirror, floors} = data;
+    const reflected = mirror && order.of(mirror.below, new Float32Array(0), near, {ground: mirror.ground, actors: floors}).slice();
     const {numbers, drawn, floor} = rain.medium(camera);
-    self.postMessage({id: data.id, ids, streaks: copy, numbers, drawn, floor, camera, state, poses: data.poses}, [ids.buffer, copy.buffer]);
+    self.postMessage({id: data.id, ids, streaks: copy, numbers, drawn, floor, camera, state, reflected, floors, poses: data.poses}, [ids.buffer, copy.buffer]);
   };
 } else if (typeof module !== "undefined") {
   module.exports = {Rain, DepthOrder, classDiameters};

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float32
 from msgspec import structs
 
 from ..rain.frame import SkyLight
@@ -13,6 +14,8 @@ from ..rain.shelter_map import ShelterMap, shelter_map_of
 from ..rain.simulation import RainSimulation
 from ..scene.camera import Camera
 from ..scene.scene import Scene
+from .page_ground import splash_state
+from .page_mirror import mirror_state
 
 STEPS_MM_H = 0.0, 0.5, 1.0, 2.5, 5.0, 8.5, 12.0, 18.0, 25.0, 35.0, 50.0
 """Intensities of the slider, besides the rain's own."""
@@ -40,6 +43,8 @@ class RainStates(NamedTuple):
     """One for each step of the slider, rising."""
     roofs: ShelterMap | None
     """Roofs near the path; None without any."""
+    impacts: Float32[np.ndarray, "states knots 2"]
+    """Sizes of the drops that splash in each state, as `splash_state` has them."""
     chosen: int
     """Step at which the slider stands at first: the rain's own intensity, or `OPENING_MM_H`."""
 
@@ -85,7 +90,12 @@ def rain_states(
         "streakGain": rain.streak_gain,
         "maxCopies": rain.max_copies,
     }  # fmt: skip
-    states = [_state(simulation, sky) for simulation in simulations]
+    splashes = [splash_state(simulation, scene) for simulation in simulations]
+    states = [
+        {**_state(simulation, scene, sky), "splashes": found}
+        for simulation, (found, _) in zip(simulations, splashes, strict=True)
+    ]
+    impacts = np.stack([sizes for _, sizes in splashes]).astype(np.float32)
     roofs = shelter_map_of(scene) if rain.roofs else None
     if roofs is not None:
         places = np.array([camera.position[:2] for camera in cameras])
@@ -95,10 +105,10 @@ def rain_states(
     if roofs is not None:
         rows, columns = roofs.heights_m.shape
         settings["roofs"] = {"rows": rows, "columns": columns, "corner": roofs.corner_m, "cell": roofs.cell_m}
-    return RainStates(settings, states, roofs, steps.index(rain.intensity_mm_h or OPENING_MM_H))
+    return RainStates(settings, states, roofs, impacts, steps.index(rain.intensity_mm_h or OPENING_MM_H))
 
 
-def _state(simulation: RainSimulation, sky: dict[bool, SkyLight]) -> dict[str, Any]:
+def _state(simulation: RainSimulation, scene: Scene, sky: dict[bool, SkyLight]) -> dict[str, Any]:
     state, overcast = simulation.state, simulation.overcast_at(0.0)
     light = sky[False].mixed(sky[True], overcast)
     own = simulation.rain.drop_color
@@ -112,6 +122,7 @@ def _state(simulation: RainSimulation, sky: dict[bool, SkyLight]) -> dict[str, A
         "overcast": overcast,
         "drops": own or light.drops,
         "airlight": own or light.airlight,
+        "mirror": mirror_state(simulation, scene, light),
     }
 
 

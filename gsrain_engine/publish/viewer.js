@@ -114,15 +114,15 @@ function withSize(camera, width, height) {
   return {...camera, width, height, fx: focal, fy: focal, cx: width / 2, cy: height / 2};
 }
 
-// Where the actors are at a time of the path: rows of matrices from their first place, in the file's frame; NaN where absent.
-function posesAt(time) {
-  if (!settings.actors) return null;
-  const {all, steps} = scene.poses, found = new Float32Array(12 * settings.actors);
+// Numbers of the actors at a time of the path, `per` each: rows of matrices from their first place, in the file's frame (NaN where
+// absent), or heights of uneven ground below them.
+function actorsAt(time, all, per) {
+  const {steps} = scene.poses, found = new Float32Array(per * settings.actors);
   const at = Math.min(time / settings.poseStep, steps - 1), k = Math.min(Math.floor(at), Math.max(steps - 2, 0)), share = at - k;
   for (let actor = 0; actor < settings.actors; ++actor)
-    for (let i = 0; i < 12; ++i) {
-      const a = all[12 * (actor * steps + k) + i], b = all[12 * (actor * steps + Math.min(k + 1, steps - 1)) + i];
-      found[12 * actor + i] = share > 0 ? a + share * (b - a) : a;
+    for (let i = 0; i < per; ++i) {
+      const a = all[per * (actor * steps + k) + i], b = all[per * (actor * steps + Math.min(k + 1, steps - 1)) + i];
+      found[per * actor + i] = share > 0 ? a + share * (b - a) : a;
     }
   return found;
 }
@@ -134,8 +134,10 @@ let worker = null, waiting = new Map(), requests = 0, scene = {}, programs = nul
 function answer(camera, time, step, drops = false) {  // of the worker
   const id = ++requests;
   const promise = new Promise(resolve => waiting.set(id, resolve));
-  const poses = posesAt(time), {rotation, origin} = settings.toWorld;
-  worker.postMessage({id, camera, time: settings.start + time, state: step, near: NEAR, drops, poses, rotation, origin});
+  const poses = settings.actors ? actorsAt(time, scene.poses.all, 12) : null, {rotation, origin} = settings.toWorld;
+  const mirror = settings.states[step].mirror && mirrorOf(camera), floors = poses && scene.actorFloors && actorsAt(time, scene.actorFloors, 1);
+  worker.postMessage({id, camera, time: settings.start + time, state: step, near: NEAR, drops, poses, rotation, origin, floors,
+                      mirror: mirror && {below: mirror.below, ground: mirror.ground}});
   return promise;
 }
 
@@ -180,6 +182,7 @@ async function open(report) {
     for (let k = 0; k < 3; ++k)
       fixed[3 * i + k] = rotation[k][0] * place[0] + rotation[k][1] * place[1] + rotation[k][2] * place[2] + origin[k];
   }
+  const ground = await openGround(all), mirror = await openMirror(all, fixed, textures), impacts = new Float32Array(all.impacts.buffer);
   await report("Preparing the graphics card");
   worker = new Worker(URL.createObjectURL(new Blob([element("rain-script").textContent], {type: "text/javascript"})));
   worker.onmessage = ({data}) => { waiting.get(data.id)(data); waiting.delete(data.id); };
@@ -187,13 +190,16 @@ async function open(report) {
   const actors = settings.actors ? pixelsOf(textures.actors) : null;
   const members = actors && Uint16Array.from({length: count}, (_, i) => actors[4 * i] + 256 * actors[4 * i + 1]);
   if (settings.rain.roofs) settings.rain.roofs.heights = new Float32Array(all.roofs.buffer);
-  worker.postMessage({fixed, members, states: settings.states, settings: settings.rain});
+  worker.postMessage({fixed, members, mirror, ground, impacts, states: settings.states, settings: settings.rain});
   const text = name => element(name).textContent;
   programs = {
     scene: new Program(text("page_quad.vert"), text("page_project.frag")),
     streaks: new Program(text("page_quad.vert"), text("page_project.frag streaks")),
     sky: new Program(text("page_quad.vert"), text("page_sky.frag")),
     splats: new Program(text("page_splat.vert"), text("page_splat.frag")),
+    mirrorLight: new Program(text("page_quad.vert"), text("page_mirror_light.frag")),
+    mirrorColumns: new Program(text("page_quad.vert"), text("page_mirror_columns.frag")),
+    mirrorRows: new Program(text("page_quad.vert"), text("page_mirror_rows.frag")),
     picture: new Program(text("page_quad.vert"), text("page_picture.frag")),
   };
   const corners = Uint16Array.from({length: 128 * 6}, (_, k) => 4 * Math.floor(k / 6) + [0, 1, 2, 2, 1, 3][k % 6]);
@@ -226,18 +232,18 @@ function upload(image, columns, per, data, format, type) {  // rows of a texture
 
 function makeScreen(width, height) {
   if (screen && screen.width === width && screen.height === height) return;
-  if (screen) [screen.scene, screen.shares].forEach(each => gl.deleteTexture(each));
-  const kind = half ? gl.RGBA16F : gl.RGBA32F;
-  screen = {width, height, scene: texture(kind, width, height), shares: texture(kind, width, height)};
+  if (screen) [screen.scene, screen.shares, screen.visible].forEach(each => gl.deleteTexture(each));
+  const made = () => texture(half ? gl.RGBA16F : gl.RGBA32F, width, height);
+  screen = {width, height, scene: made(), shares: made(), visible: settings.mirror ? made() : emptyTexture()};
   screen.target = target(screen.scene, screen.shares);
+  screen.wetTarget = settings.mirror && target(screen.scene, screen.shares, screen.visible);
 }
 
 function projection(camera) {
   const {rotation, origin} = settings.toWorld, turn = product(camera.axes, rotation);
   const shift = times(camera.axes, origin.map((each, k) => each - camera.position[k]));
-  const inObject = times(transposed(rotation), camera.position.map((each, k) => each - origin[k]));
   const matrix = [0, 1, 2].flatMap(k => [turn[0][k], turn[1][k], turn[2][k], 0]).concat(shift, 1);
-  return {object_to_camera: matrix, camera_in_object: inObject, intrinsics: [camera.fx, camera.fy, camera.cx, camera.cy],
+  return {object_to_camera: matrix, intrinsics: [camera.fx, camera.fy, camera.cx, camera.cy],
           image_size: [camera.width, camera.height], near: NEAR};
 }
 
@@ -249,19 +255,47 @@ function moved(from, to) {
 
 const linear = color => color.map(c => c <= 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4);
 
-// Draws one state of the rain into the columns of the canvas from `left` to `right` (shares of the width).
-function drawPart(camera, drawn, rain, left, right) {
-  const count = drawn.streaks.length / STREAK_FLOATS, rows = makeRoom(count), view = projection(camera);
-  const falls = rain.density > 0, hazy = rain.extinction > 0;
-  const medium = {medium_numbers: drawn.numbers, medium_drawn: drawn.drawn, medium_floor: drawn.floor, airlight: linear(rain.airlight)};
-  if (settings.actors) uploadPoses(drawn.poses, view.camera_in_object);
+// Projects the Gaussians of the scene, in a mirror those that it shows.
+function projectScene(view, medium, drawn, rain, rows, mirror = null) {
+  if (settings.actors) uploadPoses(drawn.poses, drawn.floors);
   gl.disable(gl.BLEND);
   gl.disable(gl.SCISSOR_TEST);
   gl.bindFramebuffer(gl.FRAMEBUFFER, scene.target);
   gl.viewport(0, 0, COLUMNS, rows);
-  programs.scene.use({...view, ...medium, ...scene, ...scene.textures, first_row: 0, has_actors: settings.actors > 0, wetness: settings.hasWet ? rain.wetness : 0,
-                      antialiased: settings.antialiased, has_medium: hazy});
+  programs.scene.use({...view, ...medium, ...scene, ...scene.textures, first_row: 0, count: mirror ? scene.reflected : scene.count, has_actors: settings.actors > 0, wetness: settings.hasWet ? rain.wetness : 0,
+                      antialiased: settings.antialiased, has_medium: rain.extinction > 0, is_mirrored: Boolean(mirror), is_uneven: Boolean(mirror && settings.mirror.isUneven),
+                      level: [...settings.toWorld.rotation[2], mirror ? mirror.ground : 0], growth_steps: mirror ? settings.mirror.growthSteps : 1});
   gl.drawArrays(gl.TRIANGLES, 0, 3);
+}
+
+// Blends what is projected, in an order, into the columns of an image up to `to`.
+function blendSplats(image, view, medium, rain, ids, rows, {from, to, falls, is_mirrored}) {
+  const [width, height] = view.image_size;
+  upload(scene.order, COLUMNS, 1, ids, gl.RED_INTEGER, gl.UNSIGNED_INT);
+  gl.bindFramebuffer(gl.FRAMEBUFFER, image);
+  gl.viewport(0, 0, width, height);
+  gl.enable(gl.SCISSOR_TEST);
+  gl.scissor(from, 0, to - from, height);
+  for (let k = 0; k < 3; ++k) gl.clearBufferfv(gl.COLOR, k, [0, 0, 0, 0]);
+  if (rain.extinction > 0) {
+    programs.sky.use({...view, ...medium});
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+  }
+  gl.enable(gl.BLEND);
+  gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
+  programs.splats.use({shapes: scene.shapes, rests: scene.rests, order: scene.order, image_size: view.image_size, falls, is_mirrored,
+                       water: scene.textures.water, drawn_count: ids.length, scene_count: scene.count, first_streak_row: rows});
+  gl.drawElementsInstanced(gl.TRIANGLES, 128 * 6, gl.UNSIGNED_SHORT, 0, Math.ceil(ids.length / 128));
+  gl.disable(gl.BLEND);
+}
+
+// Draws one state of the rain into the columns of the canvas from `left` to `right` (shares of the width).
+function drawPart(camera, drawn, rain, left, right) {
+  const count = drawn.streaks.length / STREAK_FLOATS, rows = makeRoom(count), view = projection(camera), falls = rain.density > 0 || Boolean(rain.splashes);
+  const medium = {medium_numbers: drawn.numbers, medium_drawn: drawn.drawn, medium_floor: drawn.floor, airlight: linear(rain.airlight)};
+  const mirror = rain.mirror && drawn.reflected ? mirrorOf(camera) : null;
+  if (mirror) drawMirror(mirror, camera, drawn, rain);
+  projectScene(view, medium, drawn, rain, rows);
   if (falls && count) {
     upload(scene.streaks, STREAK_COLUMNS, STREAK_FLOATS, drawn.streaks, gl.RGBA, gl.FLOAT);
     gl.bindFramebuffer(gl.FRAMEBUFFER, scene.target);
@@ -269,38 +303,24 @@ function drawPart(camera, drawn, rain, left, right) {
     programs.streaks.use({...view, ...moved(drawn.camera, camera), streaks: scene.streaks, first_row: rows, count, display_color: rain.drops});
     gl.drawArrays(gl.TRIANGLES, 0, 3);
   }
-  upload(scene.order, COLUMNS, 1, drawn.ids, gl.RED_INTEGER, gl.UNSIGNED_INT);
-  gl.bindFramebuffer(gl.FRAMEBUFFER, screen.target);
-  gl.viewport(0, 0, camera.width, camera.height);
-  gl.enable(gl.SCISSOR_TEST);
-  const from = Math.round(left * camera.width), to = Math.round(right * camera.width);
-  gl.scissor(from, 0, to - from, camera.height);
-  gl.clearBufferfv(gl.COLOR, 0, [0, 0, 0, 0]);
-  gl.clearBufferfv(gl.COLOR, 1, [0, 0, 0, 0]);
-  if (hazy) {
-    programs.sky.use({...view, ...medium});
-    gl.drawArrays(gl.TRIANGLES, 0, 3);
-  }
-  gl.enable(gl.BLEND);
-  gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
-  programs.splats.use({shapes: scene.shapes, rests: scene.rests, order: scene.order, image_size: view.image_size, falls,
-                       drawn_count: drawn.ids.length, scene_count: scene.count, first_streak_row: rows});
-  gl.drawElementsInstanced(gl.TRIANGLES, 128 * 6, gl.UNSIGNED_SHORT, 0, Math.ceil(drawn.ids.length / 128));
-  gl.disable(gl.BLEND);
+  const [from, to] = [left, right].map(share => Math.round(share * camera.width));
+  blendSplats(mirror ? screen.wetTarget : screen.target, view, medium, rain, drawn.ids, rows, {from, to, falls, is_mirrored: false});
   gl.bindFramebuffer(gl.FRAMEBUFFER, null);
   gl.viewport(0, 0, canvas.width, canvas.height);
   gl.scissor(Math.round(left * canvas.width), 0, Math.round(right * canvas.width) - Math.round(left * canvas.width), canvas.height);
-  programs.picture.use({clear_scene: screen.scene, shares: screen.shares, rain_light: linear(rain.drops), screen: [canvas.width, canvas.height]});
+  const [films, standing] = mirror ? mirrorImages.rows : [scene.textures.water, scene.textures.water];
+  programs.picture.use({clear_scene: screen.scene, shares: screen.shares, rain_light: linear(rain.drops), screen: [canvas.width, canvas.height],
+                        water: screen.visible, films, standing, mirror_size: mirror ? mirror.mirror_size : [0, 0],
+                        mirror_scales: mirror ? settings.mirror.scales : [1, 1], first_row: mirror ? mirror.first_row : 0});
   gl.drawArrays(gl.TRIANGLES, 0, 3);
 }
 
-function uploadPoses(poses, inObject) {  // three rows and the camera in the actor's first frame; row 0 is of what does not move
+function uploadPoses(poses, floors) {  // three rows of an actor's matrix, and the height of uneven ground below it; row 0 is of what does not move
   const rows = new Float32Array(16 * (settings.actors + 1));
-  rows.set([1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, ...inObject, 0]);
+  rows.set([1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0]);
   for (let actor = 0; actor < settings.actors; ++actor) {
-    const m = poses.subarray(12 * actor, 12 * actor + 12), away = [inObject[0] - m[3], inObject[1] - m[7], inObject[2] - m[11]];
-    rows.set(m, 16 * (actor + 1));
-    for (let k = 0; k < 3; ++k) rows[16 * (actor + 1) + 12 + k] = m[k] * away[0] + m[4 + k] * away[1] + m[8 + k] * away[2];
+    rows.set(poses.subarray(12 * actor, 12 * actor + 12), 16 * (actor + 1));
+    if (floors) rows[16 * (actor + 1) + 12] = floors[actor];
   }
   gl.bindTexture(gl.TEXTURE_2D, scene.textures.poses);
   gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, 4, settings.actors + 1, gl.RGBA, gl.FLOAT, rows);

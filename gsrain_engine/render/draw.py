@@ -16,7 +16,7 @@ from ..rain.simulation import RainSimulation
 from ..rain.wetness import flooded_share
 from ..scene.camera import Camera
 from ..scene.gaussians import Gaussians, IdentityKey, scene_cache
-from ..scene.ground_water import ground_heights
+from ..scene.ground_water import WetGround, ground_heights
 from ..scene.lens_faces import wide_face
 from ..scene.lod_order import lod_growth, lod_sample
 from ..scene.lod_tree import MIN_GAUSSIANS, PIXEL, cut_lod_tree, merged_harmonics
@@ -174,13 +174,17 @@ def has_splashes(scene: Scene, rainfall: RainSimulation, wetness: float) -> bool
 
 def draw_splashes(scene: Scene, rainfall: RainSimulation, rain: RainFrame) -> Gaussians | None:
     """Splashes on a scene's ground in front of a camera; None without any."""
+    heights = wet_ground(scene, leveled_view(rain.view.camera, scene.water, scene.ground_m or 0.0).ground_m)
+    found = Splashes(rainfall, rain, WaterFilms.of(rainfall, scene.water), heights).gaussians()
+    return found if len(found) else None
+
+
+def wet_ground(scene: Scene, ground_m: float) -> WetGround:
+    """Ground on which a scene's drops splash; its height is `ground_m` outside of the map of water."""
     layers = [layer for layer in scene.layers if layer.visible and layer.wet_sh is not None]
     poses = [np.ascontiguousarray(scene.scene_to_world @ layer.to_scene) for layer in layers]
     surfaces = [(layer.gaussians, pose) for layer, pose in zip(layers, poses, strict=True)]
-    ground_m = leveled_view(rain.view.camera, scene.water, scene.ground_m or 0.0).ground_m
-    heights = ground_heights(surfaces, ground_m, scene.water)
-    found = Splashes(rainfall, rain, WaterFilms.of(rainfall, scene.water), heights).gaussians()
-    return found if len(found) else None
+    return ground_heights(surfaces, ground_m, scene.water)
 
 
 def read_picture(renderer: Renderer, optics: PictureOptics | None) -> UInt8[np.ndarray, "h w 3"]:

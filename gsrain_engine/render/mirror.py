@@ -81,6 +81,11 @@ def reflecting_items(items: Sequence[DrawItem], scene: Scene) -> list[DrawItem]:
     return reflecting
 
 
+def reflected_item(item: DrawItem, scene: Scene, share: float = SHARE) -> DrawItem:
+    """Item as mirrors show it: without the ground, and a share of the Gaussians of a large one, enlarged."""
+    return _without_ground(item, _member_of(item, scene), share)
+
+
 def _member_of(item: DrawItem, scene: Scene) -> GroundMembership:
     assert scene.water is not None
     fixed = _is_fixed(item, scene)
@@ -125,9 +130,7 @@ def draw_mirror(
         medium = rain.medium
     # Wet colors of what reflects, too, though it is left out: the same arrays as for the picture itself.
     items = [
-        leveled_item(
-            _without_ground(item, _member_of(item, scene), share), view, scene.water, is_fixed=_is_fixed(item, scene)
-        )
+        leveled_item(reflected_item(item, scene, share), view, scene.water, is_fixed=_is_fixed(item, scene))
         for item in reflecting_items(items_for(below), scene)
     ]
     renderer.draw(items, below, rain if medium is not None else None, with_depth=True)

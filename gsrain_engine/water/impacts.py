@@ -83,6 +83,16 @@ class ImpactFlux:
         """Number of larger drops on a square meter in a second."""
         return float(np.interp(-diameter_mm, -self.diameters_mm, self.larger_per_m2_s))
 
+    def largest_drops(self, per_m2_s: float) -> tuple[float, Float64[np.ndarray, "knots 2"]]:
+        """Rate of the largest drops, of at most that many a square meter and second, and their sizes.
+
+        Diameter (mm) and speed (m/s) at the fourth powers of equal steps of the share of that rate.
+        """
+        rate = min(self.per_m2_s, per_m2_s)
+        knots = rate * _shares() ** 4
+        values = [np.interp(knots, self.larger_per_m2_s, each) for each in (self.diameters_mm, self.speeds_m_s)]
+        return rate, np.stack(values, axis=1)
+
     def power_of(self, share: Callable[[Float64[np.ndarray, " n"]], Float64[np.ndarray, " n"]]) -> float:
         """Kinetic energy per square meter and second times a share, a function of `larger_per_m2_s`."""
         middle = 0.5 * (self.larger_per_m2_s[1:] + self.larger_per_m2_s[:-1])
@@ -130,11 +140,7 @@ class GroundImpacts:
         epochs = np.arange(first // _EPOCH, (last - 1) // _EPOCH + 1)
         tables, ends = np.empty((len(epochs), _KNOTS, 2)), np.empty(len(epochs))
         for k, epoch in enumerate(epochs):
-            flux = self.flux_at((epoch + 0.5) * _EPOCH * TICK_S)
-            ends[k] = min(flux.per_m2_s, largest_per_m2_s)
-            knots = ends[k] * _shares() ** 4
-            tables[k, :, 0] = np.interp(knots, flux.larger_per_m2_s, flux.diameters_mm)
-            tables[k, :, 1] = np.interp(knots, flux.larger_per_m2_s, flux.speeds_m_s)
+            ends[k], tables[k] = self.flux_at((epoch + 0.5) * _EPOCH * TICK_S).largest_drops(largest_per_m2_s)
         ground = np.ascontiguousarray(cells, np.int64)
         expected = len(cells) * (last - first) * CELL_M**2 * TICK_S * float(ends.max(initial=0.0))
         room = int(expected + 8 * np.sqrt(expected)) + 16

@@ -78,6 +78,11 @@ def slope_variance(power_w_m2: float, depth_m: float) -> float:
     return float(np.trapezoid(slope_spectrum(power_w_m2, depth_m), WAVENUMBERS_PER_M))
 
 
+def standing_slope(power_w_m2: float, depth_m: float) -> float:
+    """Standard deviation of slope, along one direction, of standing water with all rings as its roughness."""
+    return float(np.sqrt(_CALM_SLOPE**2 + 0.5 * slope_variance(power_w_m2, depth_m)))
+
+
 @lru_cache(maxsize=len(_DEPTHS_MM))
 def ring_table(depth_mm: float) -> Float32[np.ndarray, "ages radii"]:
     """Radial slope of the ring of a drop with 1 J of kinetic energy, by age and radius.

@@ -17,7 +17,7 @@ from ..scene.gaussians import Gaussians
 from ..scene.ground_water import WetGround
 from ..scene.rolling_shutter import GLOBAL_SHUTTER
 from .films import WaterFilms
-from .impacts import CELL_M, WATER_KG_M3, GroundImpacts, LandedDrops, cells_around
+from .impacts import CELL_M, WATER_KG_M3, GroundImpacts, ImpactFlux, LandedDrops, cells_around
 
 FARTHEST_M = 20.0
 """Distance beyond which splashes are not drawn."""
@@ -56,6 +56,13 @@ def splash_threshold(
     return 2100 + 5880 * np.minimum(film_mm / diameters_mm, 1) ** 1.44
 
 
+def splash_rate(flux: ImpactFlux, film_mm: float) -> float:
+    """Number of drops on a square meter in a second down to the smallest that splashes on a film; 0 if none does."""
+    films = np.full(len(flux.diameters_mm), film_mm)
+    splashing = splash_number(flux.diameters_mm, flux.speeds_m_s) > splash_threshold(flux.diameters_mm, films)
+    return float(flux.larger_per_m2_s[splashing].max(initial=0.0))
+
+
 @dataclass(frozen=True, eq=False)
 class Splashes:
     """Splashes of a rain in front of one camera at one time."""
@@ -86,13 +93,9 @@ class Splashes:
         shutter, time_s = self.frame.shutter, self.frame.time_s
         impacts = GroundImpacts(self.rainfall)
         film_mm = self.films.at(time_s).film_mm
-        flux = impacts.flux_at(time_s)
-        splashing = splash_number(flux.diameters_mm, flux.speeds_m_s) > splash_threshold(
-            flux.diameters_mm, np.full(len(flux.diameters_mm), film_mm)
-        )
-        if not splashing.any():
+        rate = splash_rate(impacts.flux_at(time_s), film_mm)
+        if rate <= 0:
             return impacts.land(np.zeros((0, 2), np.int64), time_s, time_s)
-        rate = float(flux.larger_per_m2_s[splashing].max())
         half = shutter.exposure_s / 2
         found = impacts.land(self._cells(reach_m), time_s - half - past_s, time_s + half, rate)
         films = self.films.depth_mm(found.places_m, time_s)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from msgspec import structs
 from PIL import Image
+from scipy.spatial import cKDTree
 
 from browser import CHROMIUM, browser
 from gsrain_engine.backends import open_renderer
@@ -17,7 +18,7 @@ from gsrain_engine.publish.page_scene import WET_STEPS, page_scene, wet_files
 from gsrain_engine.publish.rain_states import rain_states
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import OVERCAST, RainSimulation
-from gsrain_engine.render.draw import rain_camera
+from gsrain_engine.render.draw import draw_splashes, rain_camera
 from gsrain_engine.render.sequence import FrameSequence
 from gsrain_engine.scene.camera import look_at
 from gsrain_engine.scene.camera_path import CameraPath
@@ -25,18 +26,31 @@ from gsrain_engine.scene.formats.sog import read_sog
 from gsrain_engine.scene.formats.sog_writer import coded
 from gsrain_engine.scene.gaussians import SH_C0, sh_from_color
 from gsrain_engine.scene.geometry import quaternions_from_matrices
+from gsrain_engine.scene.ground_water import GroundWater
 from gsrain_engine.scene.scene import Actor, Layer, PoseTrack, Scene
 from small_scene import patch, small_scene
 
 needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium")
-RAIN = RainSettings(intensity_mm_h=8.5, seed=5, wind_speed_m_s=6.0, gust_m_s=1.5, splashes=False, spray=False)
+RAIN = RainSettings(intensity_mm_h=8.5, seed=5, wind_speed_m_s=6.0, gust_m_s=1.5, spray=False)
 TIMES_S = 0.4, 1.5
 SIZE = 320, 240
 
 
+def wet_hill():
+    """Water on a road that rises, with more of it in the middle."""
+    x, y = np.meshgrid(-10 + 0.5 * (np.arange(140) + 0.5), -20 + 0.5 * (np.arange(80) + 0.5))
+    cover = np.zeros((80, 140, 2), np.uint8)
+    cover[(x > 0) & (abs(y) < 5)] = 220, 30
+    cover[(x > 8) & (x < 20) & (abs(y) < 3)] = 60, 190
+    return GroundWater((-10.0, -20.0), 0.5, cover, (0.03 * x - 0.01 * y).astype(np.float32))
+
+
 def rainy_scene():
     """A road, a wall and a roof with wet colors, and a block that moves; no vehicle carries the rain."""
-    scene = small_scene()
+    scene, water = small_scene(), wet_hill()
+    road = scene.layers[0].gaussians
+    places = road.means + water.height_at(road.means[:, :2])[:, None] * np.array([0, 0, 1], np.float32)
+    scene = replace(scene, layers=(Layer("road", replace(road, means=places)), *scene.layers[1:]))
     roof = patch((4, -2, 3.5), np.array([3.0, 0, 0]), np.array([0, 4.0, 0]), 30, (0.5, 0.2, 0.2))
     layers = [
         replace(layer, wet_sh=0.6 * layer.gaussians.sh - np.float32(0.3))
@@ -47,7 +61,7 @@ def rainy_scene():
     track = PoseTrack(times, np.stack([12 + times, 2 * times - 3, 0 * times], axis=1),
                       np.tile([1.0, 0, 0, 0], (5, 1)), np.ones(5, bool))  # fmt: skip
     actor = Actor("block", "car", (1.0, 1.0, 1.0), block, track)
-    return Scene("wet road", tuple(layers), (actor,), ground_m=0.0)
+    return Scene("wet road", tuple(layers), (actor,), ground_m=0.0, water=water)
 
 
 def path():
@@ -80,8 +94,23 @@ def page(written, tmp_path_factory):
         yield opened
 
 
-def rainy_at(sequence, intensity):
-    return replace(sequence, rainfall=RainSimulation.start(structs.replace(RAIN, intensity_mm_h=intensity)))
+def rainy_at(sequence, intensity, **changes):
+    rain = structs.replace(RAIN, intensity_mm_h=intensity, **changes)
+    return replace(sequence, rainfall=RainSimulation.start(rain))
+
+
+def on_page(page, intensity, time_s):
+    picture = page.run(f"gsrain.image({{mm: {intensity}, t: {time_s}, split: 0, size: '{SIZE[0]}x{SIZE[1]}'}})")
+    return np.asarray(Image.open(io.BytesIO(base64.b64decode(picture.split(",")[1]))).convert("RGB"), np.float64)
+
+
+def on_desktop(sequence, time_s):
+    with open_renderer("cpu") as renderer:
+        return replace(sequence, start_s=time_s).image(renderer, 0, sequence.sky(renderer)).astype(np.float64)
+
+
+def decibels(ours, theirs):
+    return 10 * np.log10(255**2 / np.mean((ours - theirs) ** 2))
 
 
 @needs_browser
@@ -105,12 +134,43 @@ def test_drops_are_those_of_the_desktop(written, page, intensity):
 def test_pictures_are_those_of_the_desktop(written, page, intensity):
     sequence = rainy_at(written[2], intensity)
     for time_s in TIMES_S:
-        picture = page.run(f"gsrain.image({{mm: {intensity}, t: {time_s}, split: 0, size: '{SIZE[0]}x{SIZE[1]}'}})")
-        ours = np.asarray(Image.open(io.BytesIO(base64.b64decode(picture.split(",")[1]))).convert("RGB"), np.float64)
-        with open_renderer("cpu") as renderer:
-            theirs = replace(sequence, start_s=time_s).image(renderer, 0, sequence.sky(renderer)).astype(np.float64)
+        theirs = on_desktop(sequence, time_s)
         assert theirs.std() > 10
-        assert 10 * np.log10(255**2 / np.mean((ours - theirs) ** 2)) > 38
+        assert decibels(on_page(page, intensity, time_s), theirs) > 38
+
+
+@needs_browser
+def test_wet_ground_mirrors_the_scene(written, page):
+    """On a road that rises, the page reflects the wall, the roof, the sky and the block that moves."""
+    theirs, matte = (on_desktop(rainy_at(written[2], 8.5, mirror=mirror), 1.5) for mirror in (True, False))
+    wet = np.abs(theirs - matte).max(axis=2) > 20
+    assert wet.mean() > 0.2
+    assert decibels(matte[wet], theirs[wet]) < 22
+    assert decibels(on_page(page, 8.5, 1.5)[wet], theirs[wet]) > 42
+
+
+@needs_browser
+def test_splashes_are_those_of_the_desktop(written, page):
+    sequence, time_s = rainy_at(written[2], 50.0), TIMES_S[1]
+    page.run(f"gsrain.image({{mm: 50, t: {time_s}, size: '{SIZE[0]}x{SIZE[1]}'}}).then(() => 0)")
+    camera = f"withSize(pathCamera({time_s}), canvas.width, canvas.height)"
+    rows = np.array(page.run(f"answer({camera}, {time_s}, state.step).then(found => [...found.streaks])")).reshape(
+        -1, 12
+    )
+    shot = sequence.shot_at(time_s)
+    frame = sequence.rainfall.frame(time_s, rain_camera(sequence.scene, sequence.rainfall, shot))
+    ours = draw_splashes(sequence.scene, sequence.rainfall, frame)
+    pose = shot.camera.world_to_camera
+    places = ours.means @ pose[:3, :3].T + pose[:3, 3]
+    away, nearest = cKDTree(rows[:, :3]).query(places)
+    is_upright = ~ours.quaternions[:, 1:3].any(axis=1)
+    assert is_upright.sum() > 50
+    assert is_upright.sum() == rows[:, 9:].any(axis=1).sum()
+    assert away.max() < 0.01  # heights on a page have steps of 5 mm
+    found = rows[nearest]
+    np.testing.assert_allclose(found[:, 3], ours.opacities, rtol=1e-3)
+    np.testing.assert_allclose(found[:, 7], ours.scales[:, 2], rtol=1e-3)
+    np.testing.assert_allclose(found[:, 8], ours.scales[:, 1], rtol=1e-3)
 
 
 @needs_browser
