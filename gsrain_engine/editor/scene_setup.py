@@ -42,8 +42,8 @@ class SceneSetup:
 
     def rain(self) -> None:
         """Let it rain, which ends the set-up."""
-        air = {"haze_region": OBJECT_AIR} if is_single_object(self._document.scene) else {}
-        self._document.change_rain("Rain", intensity_mm_h=SETUP_MM_H, **air)
+        air = OBJECT_AIR if is_single_object(self._document.scene) else self._document.rain.haze_region
+        self._document.change_rain("Rain", intensity_mm_h=SETUP_MM_H, haze_region=air)
         self.is_open = False
 
 
