@@ -94,6 +94,8 @@ class LiveView:
         self._pane_count = 1
         self._has_built = False
         self._sky = SkyColorSampler()
+        self._unused_sky: SkyColor | None = None
+        """Sample of a picture that was given up, for the next one."""
         self._pending: PendingScene | None = None
         self._preparing: Iterator[None] = iter(())
         self._is_pending_ready = False
@@ -164,7 +166,7 @@ class LiveView:
         result.is_catching_up = self._is_uploading or (samples and self._can_draw)
         result.textures, result.is_settled = self.last_textures, self.is_settled
         result.has_cuts = self._on_cpu and frame.mode == "splats" and self.trees.cover(scenes)
-        self._sky.unused = None
+        self._unused_sky = None
         return result
 
     @property
@@ -242,6 +244,9 @@ class LiveView:
             resting, whole = not (frame.is_moving or frame.is_playing), frame.screenshot is not None
             camera = frame.view.camera
             result.sky = self._sky.look(self._renderer, frame.scene, camera, resting=resting, at_once=whole)
+            if result.sky is None and self._sky.is_through:
+                result.sky = self._unused_sky
+            self._unused_sky = result.sky
             result.sky_is_exact = self._sky.is_exact
         if frame.picked is not None:
             region, *weather = frame.picked
@@ -477,8 +482,6 @@ class SkyColorSampler:
         self._progress: Generator[None, None, SkyColor] | None = None
         self._is_full = False
         """True if the sample in progress draws all Gaussians."""
-        self.unused: SkyColor | None = None
-        """Last sample, until the picture with it is complete: one that is given up leaves it to the next."""
         self._skyless: str | None = None
         """Scene of which it was logged that it shows no sky."""
         self.is_through = True
@@ -486,7 +489,7 @@ class SkyColorSampler:
 
     def forget(self) -> None:
         """Forget the last sample, so that the next one finishes at once, e.g. for another scene."""
-        self._sampled = self._requested = self._progress = self.unused = None
+        self._sampled = self._requested = self._progress = None
 
     def look(
         self, renderer: Renderer, scene: Scene, place: Camera, *, resting: bool, at_once: bool = False
@@ -499,7 +502,7 @@ class SkyColorSampler:
         self.is_through = not is_new and (self.is_exact or not (resting or at_once))
         if self.is_through:
             self._progress = None
-            return self.unused
+            return None
         count = sum(len(each.gaussians) for each in scene.members if each.visible)
         is_full = count <= _QUICK or at_once or (resting and not is_new)
         if self._progress is None or not stays or is_full != self._is_full:
@@ -519,7 +522,7 @@ class SkyColorSampler:
         if state and not sky.found and scene.name != self._skyless:  # a scene that is still loading shows nothing
             self._skyless = scene.name
             logger.info("The scene shows no sky: drops take the color of an overcast one")
-        self._sampled, self.is_exact, self._progress, self.unused = state, self._is_full, None, sky
+        self._sampled, self.is_exact, self._progress = state, self._is_full, None
         return sky
 
 
