@@ -248,23 +248,22 @@ def robust_bounds(*sets: Gaussians, share: float = _ROBUST_SHARE) -> Aabb:
     return Aabb(low, high)
 
 
-_OBJECT_M, _OBJECT_SAMPLES = 20.0, 4096
+_OBJECT_M = 20.0
 
 
 def is_single_object(scene: "Scene") -> bool:
     """Return whether a scene shows one thing without surroundings: neither sky nor drive, at most 20 m wide."""
-    layers = tuple(each.gaussians for each in scene.layers if each.visible and len(each.gaussians))
-    has_sky = any(each.kind == "sky" for each in scene.layers)
-    return not has_sky and scene.ego is None and scene.metres_per_unit * _widest(layers) <= _OBJECT_M
+    if scene.ego is not None or any(each.kind == "sky" for each in scene.layers):
+        return False
+    layers = tuple(each.gaussians for each in scene.layers if each.visible)
+    return scene.metres_per_unit * _widest(layers) <= _OBJECT_M
 
 
 @scene_cache(maxsize=4)
 def _widest(layers: tuple[Gaussians, ...]) -> float:
-    """Longest edge of the box of the middle 98 % of evenly sampled centers, in the scene's unit."""
-    step = -(-sum(map(len, layers)) // _OBJECT_SAMPLES) or 1
-    means = np.concatenate([np.zeros((1, 3), np.float32), *(each.means[::step] for each in layers)])[1:]
-    ends = [(1 - _ROBUST_SHARE) / 2, (1 + _ROBUST_SHARE) / 2]
-    return float(np.ptp(np.quantile(means, ends, axis=0), axis=0).max()) if len(means) else 0.0
+    """Longest edge of the robust box, in the scene's unit."""
+    low, high = robust_bounds(*layers)
+    return float((high - low).max())
 
 
 def _weighted_quantiles(
