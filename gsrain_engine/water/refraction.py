@@ -546,10 +546,10 @@ def _draw_veil(layer, view, axes, low, film, film_cell, amount, dirt, blade, blu
             # The film, and dirt in front of it, spread the light of what is around.
             i = min(max(int((column + 0.5 - margin) * across), 0), wide - 1)
             j = min(max(int((row + 0.5 - margin) * down), 0), tall - 1)
-            behind = (1.0 - layer[row, column, 3]) * covered
+            around = (1.0 - layer[row, column, 3]) * (1.0 - covered) * wet
             for channel in range(3):
-                light = layer[row, column, channel] + behind * _BLADE_LIGHT
-                around = (1.0 - layer[row, column, 3] - behind) * wet
+                # The blade is all that drops under it refract.
+                light = (1.0 - covered) * layer[row, column, channel] + covered * _BLADE_LIGHT
                 light += around * (0.7 * blurred[j, i, channel] + 0.3 * mean[channel])
                 layer[row, column, channel] = light * (1.0 - dirty) + dirty * mean[channel]
             clear = (1.0 - layer[row, column, 3]) * (1.0 - covered) * (1.0 - wet) * (1.0 - dirty)
