@@ -22,6 +22,7 @@ from ..scene.sensor import ThinLens
 from .glass_drops import RADIUS, SHAPE, SPEED, TO_U, TO_V, U, V
 from .pane import Pane
 from .wiper import BLADE_M, INNER_M, OUTER_M, PIVOT_M
+from .wiper_glare import add_streaks, lamp_streaks, pivot_px, smeared
 
 WATER_INDEX = 1.333
 """Refractive index of water for visible light."""
@@ -117,11 +118,19 @@ class GlassView:
                 float(np.radians(glass.contact_angle_deg)),
             )  # fmt: skip
         blurred = _linear_levels()[_shrunk(image)]
+        pivot = pivot_px(pane, camera)
+        if glass.blade_rad is not None:
+            blurred = smeared(blurred, pivot, camera.fy, height / blurred.shape[0])
         _draw_veil(
             layer, grid.view, grid.axes, np.array(pane.low_m), glass.film_m, glass.film_cell_m, glass.dirt, dirt,
             -1.0 if glass.blade_rad is None else glass.blade_rad, blurred, np.array(cv2.mean(blurred)[:3]),
         )  # fmt: skip
-        return (_blurred(layer, grid.radii) if grid.radii.max() >= 0.5 else layer), grid.cell_px, grid.margin
+        layer = _blurred(layer, grid.radii) if grid.radii.max() >= 0.5 else layer
+        streaks = None if glass.blade_rad is None else lamp_streaks(image, pivot, camera.fy)
+        if streaks is not None:
+            share = _FILM_SHARE, _FILM_M
+            add_streaks(layer, streaks, grid.view, grid.axes, pane.low_m, glass.film_m, glass.film_cell_m, share)
+        return layer, grid.cell_px, grid.margin
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -157,6 +157,23 @@ def test_lamps_have_long_reflections_under_their_mirror_image():
     assert 0 < dimmed[..., 1].max() < 0.5 * standing.max()  # about 20 m through the medium
 
 
+def test_what_stands_before_a_lamp_hides_its_reflections():
+    view = camera(384, 240)
+    first, last = rows_of_ground(view)
+    lamps = lit_lamps([(Lamp(position=(30.0, 0.0, 5.0), intensity_m2=100.0), np.eye(4))])
+    image, wall = np.zeros((last - first, 192, 3), np.float32), np.zeros((last - first, 192), np.float32)
+    open_light = make_mirror(image, wall, view, 0.0, 1.0, lamps=lamps).light
+    _, y, z = (view.world_to_camera @ np.array([30.0, 0.0, -5.0, 1.0]))[:3]
+    row = int(SCALES[1] * (view.fy * y / z + view.cy)) - first
+    wall[::-1][max(row - 8, 0) : row + 4, 96:] = 12.0  # a truck on the right, up to above the lamp
+    hidden = make_mirror(image, wall, view, 0.0, 1.0, lamps=lamps).light
+    at_lamp = np.s_[row - 1 : row + 2, :, 1, 0]
+    assert open_light[at_lamp][:, 97:].max() > 0 and hidden[at_lamp][:, 99:].max() == 0
+    assert np.array_equal(hidden[at_lamp][:, :93], open_light[at_lamp][:, :93])
+    wall[wall > 0] = 60.0  # behind the lamp
+    assert np.array_equal(make_mirror(image, wall, view, 0.0, 1.0, lamps=lamps).light[..., 1, :], open_light[..., 1, :])
+
+
 def test_all_reflections_of_a_lamp_are_as_bright_as_its_mirror_image():
     eye = np.array([0.0, 0.0, 4.0])
     view = Camera.from_fov(400, 400, 60.0, look_at(eye, np.array([4.0, 0.0, 0.0]), UP))
