@@ -4,6 +4,7 @@ Lamps so get the long streaks that drivers know from wiped windshields, and the 
 what is dark. All directions are those of lines through the wiper's pivot, as the camera sees it.
 """
 
+from functools import cache
 from typing import no_type_check
 
 import cv2
@@ -13,6 +14,7 @@ from jaxtyping import Float32, Float64, UInt8
 
 from ..kernels import NOGIL
 from ..scene.camera import Camera
+from ..scene.geometry import srgb_to_linear
 from .pane import Pane
 from .wiper import INNER_M, OUTER_M, PIVOT_M
 
@@ -23,7 +25,7 @@ GAIN = 6.0
 SHRINK = 4
 """Pixels of the picture along one of the glare."""
 _RESIDUE = 0.04  # share of the light that wiped glass spreads when it is dry; ours
-_WHITE = 240  # from which a channel counts as at its end
+_FROM, _FULL = 215, 250  # of a pixel's brightest channel: it counts as a lamp from the first, wholly from the second
 _WIDE = 15  # window of the glare's pixels, in which what is white by far and large is no lamp
 _LEAST = 0.02
 _REACH = 3.0  # of a streak, in lengths in which it falls to 1/e
@@ -44,9 +46,20 @@ def lamp_streaks(
 
     Lamps are small and as bright as a pixel can be. Their light is in two-sided exponentials along the streak.
     """
-    bright = cv2.threshold(image, _WHITE - 1, 0, cv2.THRESH_TOZERO)[1]
-    size = max(image.shape[1] // SHRINK, 1), max(image.shape[0] // SHRINK, 1)
-    lamps = cv2.resize(bright, size, interpolation=cv2.INTER_AREA).astype(np.float32) / np.float32(255)
+    size = image.shape[1] // SHRINK, image.shape[0] // SHRINK
+    if min(size) < 2:
+        return None
+    red, green, blue = cv2.split(image)
+    brightest = cv2.LUT(cv2.max(cv2.max(red, green), blue), _ramp_bytes())
+    mask = cv2.threshold(brightest, 0, 255, cv2.THRESH_BINARY)[1]
+    if not mask.any():
+        return None
+    bright = cv2.LUT(cv2.bitwise_and(image, image, mask=mask), _linear_bytes())
+    lamps, weights, shares = (
+        cv2.resize(each, size, interpolation=cv2.INTER_AREA).astype(np.float32) / np.float32(255)
+        for each in (bright, brightest, mask)
+    )
+    lamps *= (weights / np.maximum(shares, np.float32(1e-3)))[..., None]
     lamps -= np.float32(2) * cv2.blur(lamps, (_WIDE, _WIDE))
     rows, columns = np.nonzero(lamps.max(axis=2) > _LEAST)
     if not len(rows):
@@ -83,6 +96,16 @@ def add_streaks(
     `share` is the greatest share of light that a film spreads, and the depth at which 1 - 1/e of it is reached.
     """
     _add_streaks(layer, streaks, view, axes, np.array(low_m), film_m, film_cell_m, *share)
+
+
+@cache
+def _ramp_bytes() -> UInt8[np.ndarray, "256"]:
+    return np.rint(255 * np.clip((np.arange(256.0) - _FROM) / (_FULL - _FROM), 0, 1)).astype(np.uint8)
+
+
+@cache
+def _linear_bytes() -> UInt8[np.ndarray, "256"]:
+    return np.rint(255 * srgb_to_linear(np.arange(256) / 255)).astype(np.uint8)
 
 
 # Kernels
@@ -147,14 +170,23 @@ def _smear(light, pivot, length, made):
 @no_type_check
 def _add_streaks(layer, streaks, view, axes, low, film, film_cell, largest, depth_m):
     fx, fy, cx, cy, cell, margin = view
+    last_row, last_column = streaks.shape[0] - 1, streaks.shape[1] - 1
     for row in numba.prange(layer.shape[0]):
         y_px = (row + 0.5 - margin) * cell
-        y, i = (y_px - cy) / fy, min(max(int(y_px / SHRINK), 0), streaks.shape[0] - 1)
+        y, at_y = (y_px - cy) / fy, min(max(y_px / SHRINK - 0.5, 0.0), last_row - 1e-3)
+        i = int(at_y)
+        below = at_y - i
         for column in range(layer.shape[1]):
             x_px = (column + 0.5 - margin) * cell
-            j = min(max(int(x_px / SHRINK), 0), streaks.shape[1] - 1)
-            if streaks[i, j, 0] + streaks[i, j, 1] + streaks[i, j, 2] < 1e-4:
+            at_x = min(max(x_px / SHRINK - 0.5, 0.0), last_column - 1e-3)
+            j = int(at_x)
+            brightest = np.float32(0)
+            for channel in range(3):
+                for corner in range(4):
+                    brightest = max(brightest, streaks[i + corner // 2, j + corner % 2, channel])
+            if brightest < 1e-4:
                 continue
+            right = at_x - j
             x = (x_px - cx) / fx
             along = x * axes[2, 0] + y * axes[2, 1] + axes[2, 2]
             if along <= 0.01:
@@ -175,5 +207,7 @@ def _add_streaks(layer, streaks, view, axes, low, film, film_cell, largest, dept
             share = _RESIDUE + largest * (1.0 - np.exp(-depth / depth_m))
             share *= 1.0 - layer[row, column, 3]
             for channel in range(3):
-                layer[row, column, channel] += np.float32(share * streaks[i, j, channel])
+                upper = (1 - right) * streaks[i, j, channel] + right * streaks[i, j + 1, channel]
+                lower = (1 - right) * streaks[i + 1, j, channel] + right * streaks[i + 1, j + 1, channel]
+                layer[row, column, channel] += np.float32(share * ((1 - below) * upper + below * lower))
             layer[row, column, 3] = max(layer[row, column, 3], _COVERS)
