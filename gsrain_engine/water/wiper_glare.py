@@ -20,7 +20,7 @@ from .wiper import INNER_M, OUTER_M, PIVOT_M
 
 SPREAD_RAD = 0.07
 """Angle in which the light that a film spreads falls to 1/e; ours."""
-GAIN = 6.0
+GAIN = 5.0
 """Light of lamps that are brighter than white, in white; ours."""
 SHRINK = 4
 """Pixels of the picture along one of the glare."""
@@ -60,7 +60,7 @@ def lamp_streaks(
         for each in (bright, brightest, mask)
     )
     lamps *= (weights / np.maximum(shares, np.float32(1e-3)))[..., None]
-    lamps -= np.float32(2) * cv2.blur(lamps, (_WIDE, _WIDE))
+    lamps -= np.float32(3) * cv2.blur(lamps, (_WIDE, _WIDE))
     rows, columns = np.nonzero(lamps.max(axis=2) > _LEAST)
     if not len(rows):
         return None

@@ -161,17 +161,21 @@ def test_what_stands_before_a_lamp_hides_its_reflections():
     view = camera(384, 240)
     first, last = rows_of_ground(view)
     lamps = lit_lamps([(Lamp(position=(30.0, 0.0, 5.0), intensity_m2=100.0), np.eye(4))])
-    image, wall = np.zeros((last - first, 192, 3), np.float32), np.zeros((last - first, 192), np.float32)
-    open_light = make_mirror(image, wall, view, 0.0, 1.0, lamps=lamps).light
+    image, depth = np.zeros((last - first, 192, 3), np.float32), np.zeros((last - first, 192), np.float32)
     _, y, z = (view.world_to_camera @ np.array([30.0, 0.0, -5.0, 1.0]))[:3]
     row = int(SCALES[1] * (view.fy * y / z + view.cy)) - first
-    wall[::-1][max(row - 8, 0) : row + 4, 96:] = 12.0  # a truck on the right, up to above the lamp
-    hidden = make_mirror(image, wall, view, 0.0, 1.0, lamps=lamps).light
-    at_lamp = np.s_[row - 1 : row + 2, :, 1, 0]
-    assert open_light[at_lamp][:, 97:].max() > 0 and hidden[at_lamp][:, 99:].max() == 0
-    assert np.array_equal(hidden[at_lamp][:, :93], open_light[at_lamp][:, :93])
-    wall[wall > 0] = 60.0  # behind the lamp
-    assert np.array_equal(make_mirror(image, wall, view, 0.0, 1.0, lamps=lamps).light[..., 1, :], open_light[..., 1, :])
+
+    def light_behind(columns, depth_m):
+        wall = depth.copy()
+        wall[::-1][row - 8 : row + 4, columns] = depth_m  # as drawn: the first row is on top
+        return make_mirror(image, wall, view, 0.0, 1.0, lamps=lamps).light[row - 1 : row + 2, :, 1, 0]
+
+    free = light_behind(slice(0, 0), 12.0)
+    assert free.max() > 0 and light_behind(slice(80, 112), 12.0).max() == 0
+    assert np.array_equal(light_behind(slice(130, 192), 12.0), free)  # next to it
+    assert np.array_equal(light_behind(slice(80, 112), 60.0), free)  # behind it
+    half = light_behind(slice(96, 192), 12.0)
+    assert 0 < half.sum() < free.sum()
 
 
 def test_all_reflections_of_a_lamp_are_as_bright_as_its_mirror_image():
