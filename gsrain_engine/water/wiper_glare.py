@@ -27,9 +27,9 @@ SHRINK = 4
 _RESIDUE = 0.04  # share of the light that wiped glass spreads when it is dry; ours
 _FROM, _FULL = 215, 250  # of a pixel's brightest channel: it counts as a lamp from the first, wholly from the second
 _WIDE = 15  # window of the glare's pixels, in which what is white by far and large is no lamp
-_LEAST = 0.02
+_LEAST, _OVER = np.float32(0.02), np.float32(3)  # light of the faintest lamp; times the mean around, taken off
 _REACH = 3.0  # of a streak, in lengths in which it falls to 1/e
-_TAPS = 8
+_TAPS = 5
 _COVERS = np.float32(2e-4)  # coverage from which what is on the pane is drawn
 
 
@@ -46,28 +46,15 @@ def lamp_streaks(
 
     Lamps are small and as bright as a pixel can be. Their light is in two-sided exponentials along the streak.
     """
-    size = image.shape[1] // SHRINK, image.shape[0] // SHRINK
-    if min(size) < 2:
+    rows, columns = image.shape[0] // SHRINK, image.shape[1] // SHRINK
+    if min(rows, columns) < 2:
         return None
-    red, green, blue = cv2.split(image)
-    brightest = cv2.LUT(cv2.max(cv2.max(red, green), blue), _ramp_bytes())
-    mask = cv2.threshold(brightest, 0, 255, cv2.THRESH_BINARY)[1]
-    if not mask.any():
+    lamps = np.empty((rows, columns, 3), np.float32)
+    if not _find_lamps(np.ascontiguousarray(image), _light_of_lamps(), lamps):
         return None
-    bright = cv2.LUT(cv2.bitwise_and(image, image, mask=mask), _linear_bytes())
-    lamps, weights, shares = (
-        cv2.resize(each, size, interpolation=cv2.INTER_AREA).astype(np.float32) / np.float32(255)
-        for each in (bright, brightest, mask)
-    )
-    lamps *= (weights / np.maximum(shares, np.float32(1e-3)))[..., None]
-    lamps -= np.float32(3) * cv2.blur(lamps, (_WIDE, _WIDE))
-    rows, columns = np.nonzero(lamps.max(axis=2) > _LEAST)
-    if not len(rows):
-        return None
-    light = np.maximum(lamps[rows, columns], 0) * np.float32(GAIN)
-    made = np.zeros_like(lamps)
-    x, y, z = pivot
-    _draw_streaks(made, rows, columns, light, np.array([x / SHRINK, y / SHRINK, z]), SPREAD_RAD * focal_px / SHRINK)
+    made, (x, y, z) = np.zeros_like(lamps), pivot
+    around = cv2.blur(lamps, (_WIDE, _WIDE))
+    _draw_streaks(made, lamps, around, np.array([x / SHRINK, y / SHRINK, z]), SPREAD_RAD * focal_px / SHRINK)
     return made
 
 
@@ -99,16 +86,39 @@ def add_streaks(
 
 
 @cache
-def _ramp_bytes() -> UInt8[np.ndarray, "256"]:
-    return np.rint(255 * np.clip((np.arange(256.0) - _FROM) / (_FULL - _FROM), 0, 1)).astype(np.uint8)
-
-
-@cache
-def _linear_bytes() -> UInt8[np.ndarray, "256"]:
-    return np.rint(255 * srgb_to_linear(np.arange(256) / 255)).astype(np.uint8)
+def _light_of_lamps() -> Float32[np.ndarray, "256 2"]:
+    """Linear light of a level, and the share to which a pixel with this brightest channel is a lamp."""
+    levels = np.arange(256)
+    share = np.clip((levels - _FROM) / (_FULL - _FROM), 0, 1)
+    return np.stack([srgb_to_linear(levels / 255), share], axis=1).astype(np.float32)
 
 
 # Kernels
+
+
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@no_type_check
+def _find_lamps(image, tables, lamps):
+    """Write the mean light of lamps of each pixel of the glare; returns the number of pixels with any."""
+    side, found = SHRINK, 0
+    for row in numba.prange(lamps.shape[0]):
+        for column in range(lamps.shape[1]):
+            red = green = blue = np.float32(0)
+            for y in range(side * row, side * row + side):
+                for x in range(side * column, side * column + side):
+                    r, g, b = image[y, x, 0], image[y, x, 1], image[y, x, 2]
+                    brightest = max(r, g, b)
+                    if brightest > _FROM:
+                        share = tables[brightest, 1]
+                        red += share * tables[r, 0]
+                        green += share * tables[g, 0]
+                        blue += share * tables[b, 0]
+            part = np.float32(1 / (side * side))
+            lamps[row, column, 0], lamps[row, column, 1] = part * red, part * green
+            lamps[row, column, 2] = part * blue
+            if red + green + blue > 0:
+                found += 1
+    return found
 
 
 @numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
@@ -122,26 +132,37 @@ def _direction(x, y, pivot):
 
 @numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
-def _draw_streaks(made, rows, columns, light, pivot, length):
-    height, width = made.shape[0], made.shape[1]
-    for n in range(len(rows)):
-        dx, dy = _direction(columns[n] + 0.5, rows[n] + 0.5, pivot)
-        is_steep = abs(dy) > abs(dx)
-        step = 1.0 / max(abs(dx), abs(dy))  # one row or column
-        reach = int(_REACH * length / step)
-        for k in range(-reach, reach + 1):
-            weight = np.exp(-abs(k) * step / length) * step / (2.0 * length)
-            x, y = columns[n] + k * step * dx, rows[n] + k * step * dy
-            column, row = int(np.floor(x)), int(np.floor(y))
-            part = y - row if not is_steep else x - column
-            for side in range(2):
-                i = row + side if not is_steep else int(np.floor(y + 0.5))
-                j = column + side if is_steep else int(np.floor(x + 0.5))
-                if i < 0 or j < 0 or i >= height or j >= width:
-                    continue
-                share = np.float32(weight * (part if side == 1 else 1.0 - part))
-                for channel in range(3):
-                    made[i, j, channel] += share * light[n, channel]
+def _draw_streaks(made, lamps, around, pivot, length):
+    """Draw the streak of each pixel that is brighter than three times the mean around it, which windows are not."""
+    for row in range(lamps.shape[0]):
+        for column in range(lamps.shape[1]):
+            brightest = np.float32(0)
+            for channel in range(3):
+                brightest = max(brightest, lamps[row, column, channel] - _OVER * around[row, column, channel])
+            if brightest > _LEAST:
+                _draw_streak(made, row, column, lamps[row, column], around[row, column], pivot, length)
+
+
+@numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
+@no_type_check
+def _draw_streak(made, from_row, from_column, lamp, around, pivot, length):
+    dx, dy = _direction(from_column + 0.5, from_row + 0.5, pivot)
+    is_steep = abs(dy) > abs(dx)
+    step = 1.0 / max(abs(dx), abs(dy))  # one row or column
+    reach = int(_REACH * length / step)
+    for k in range(-reach, reach + 1):
+        weight = GAIN * np.exp(-abs(k) * step / length) * step / (2.0 * length)
+        x, y = from_column + k * step * dx, from_row + k * step * dy
+        column, row = int(np.floor(x)), int(np.floor(y))
+        part = x - column if is_steep else y - row
+        for side in range(2):
+            i = int(np.floor(y + 0.5)) if is_steep else row + side
+            j = column + side if is_steep else int(np.floor(x + 0.5))
+            if i < 0 or j < 0 or i >= made.shape[0] or j >= made.shape[1]:
+                continue
+            share = np.float32(weight * (part if side == 1 else 1.0 - part))
+            for channel in range(3):
+                made[i, j, channel] += share * max(lamp[channel] - _OVER * around[channel], np.float32(0))
 
 
 @numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
