@@ -32,7 +32,8 @@ _MIN_SINE = np.float32(2e-3)  # of a ray's angle to the ground; others pass over
 _LAMP_REACH = 4.0  # of a lamp's image, in standard deviations of the slope
 _LAMP_M = 0.2  # radius of a lamp, by which the shadows of its light are soft
 _BEHIND_M, _BEHIND = 0.5, 0.02  # by which a lamp's light is behind what blocks it: a length, and a share of its depth
-_SHADOW_STEPS = 24
+_SHADOW_STEPS = 12
+_VISIBLE = 4e-4  # light from which what hides its lamp is looked for: about a level in the dark, under a full film
 
 
 def rows_of_ground(camera: Camera) -> tuple[int, int]:
@@ -544,20 +545,23 @@ def _add_lamps(light, sines, distances, depth, to_world, intrinsics, lamps, slop
                 cone *= cone * (3 - 2 * cone)
                 if cone <= 0:
                     continue
-                cone *= _open_share(depth, row, column, away * scale, lamps[i], ground_m, to_world, intrinsics)
-                if cone <= 0:
-                    continue
                 norm = np.sqrt(hx * hx + hy * hy + hz * hz)
                 facing = min((hx * lx + hy * ly + hz * lz) / norm, 1.0)
                 upright = hz / norm
                 dimmed = cone * np.exp(-extinction_per_m * (away + length)) / (length * length)
+                open_share = -1.0  # of the lamp: not yet known
                 for water in range(2):
                     slope = slopes[water, angle]
                     if squared > (_LAMP_REACH * slope) ** 2:
                         continue
                     density = np.exp(-0.5 * squared / (slope * slope)) / (2 * np.pi * slope * slope * upright**4)
-                    open_share = unshadowed(sine, slope) * unshadowed(lz, slope)
-                    gain = dimmed * reflectance(facing, WATER_INDEX) * density * open_share / (4 * sine)
+                    shadowed = unshadowed(sine, slope) * unshadowed(lz, slope)
+                    gain = dimmed * reflectance(facing, WATER_INDEX) * density * shadowed / (4 * sine)
+                    if gain * max(lamps[i, 6], lamps[i, 7], lamps[i, 8]) > _VISIBLE:
+                        if open_share < 0:
+                            z = away * scale
+                            open_share = _open_share(depth, row, column, z, lamps[i], ground_m, to_world, intrinsics)
+                        gain *= open_share
                     for c in range(3):
                         light[row, column, water, c] += np.float32(gain * lamps[i, 6 + c])
 
@@ -581,7 +585,7 @@ def _open_share(depth, row, column, z, lamp, ground_m, to_world, intrinsics):
     found = 0.0
     for k in range(-1, 2):
         across = lamp_x + k * side
-        steps = min(int(max(abs(across), abs(lamp_y))) + 1, _SHADOW_STEPS)
+        steps = min(int(max(abs(across), abs(lamp_y)) / 2) + 1, _SHADOW_STEPS)  # of two pixels
         is_open = True
         for step in range(1, steps + 1):
             share = step / steps
