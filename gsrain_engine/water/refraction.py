@@ -75,10 +75,17 @@ def wide_view(camera: Camera, pane: Pane, lens: ThinLens) -> Camera:
 
     It does not depend on the drops, so that nothing jumps when a larger one comes.
     """
+    return wide_camera(camera, _wide_px(pane, lens, camera.rounded_intrinsics, camera.width, camera.height))
+
+
+@lru_cache(maxsize=8)
+def _wide_px(
+    pane: Pane, lens: ThinLens, intrinsics: tuple[float, float, float, float], width: int, height: int
+) -> int:
+    camera = Camera(width, height, *intrinsics)
     depth_m = float(pane.origin_m @ pane.normal) / max(float(pane.normal[2]), 0.02)
     cells = camera.fx * _LARGE_M / depth_m / _cell_px(_circles_px(pane, lens, camera, _edges_px(camera)))
-    coarse = wide_camera(camera, _COARSE_PX)
-    return coarse if _SPREAD * coarse.fx / cells >= _FINE else wide_camera(camera)
+    return _COARSE_PX if _SPREAD * wide_camera(camera, _COARSE_PX).fx / cells >= _FINE else WIDE_PX
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,7 +121,7 @@ class GlassView:
             row_starts, members = _members(boxes, rows)
             _draw_drops(
                 layer, glass.drops, boxes, outlines, row_starts, members, grid.view, grid.axes, source, levels, starts,
-                float(np.radians(glass.contact_angle_deg)),
+                *_cap(glass.contact_angle_deg),
             )  # fmt: skip
         blurred = _linear_levels()[_shrunk(image)]
         _draw_veil(
@@ -196,7 +203,14 @@ def refracted(
     `ray` is a unit vector in air before the pane, with z > 0 outward. Returns the transmitted share of the light, and
     the direction behind; the share is -1 if the ray misses the drop.
     """
-    return _trace(*place, *ray, float(np.radians(contact_angle_deg)), 1.0, 0.0, 1.0)
+    return _trace(*place, *ray, *_cap(contact_angle_deg), 1.0, 0.0, 1.0)
+
+
+def _cap(contact_angle_deg: float) -> tuple[float, float]:
+    """Radius of the sphere of a cap, and depth of its center below the pane, for a footprint radius of 1."""
+    angle = np.radians(contact_angle_deg)
+    sphere = 1.0 / np.sin(angle)
+    return float(sphere), float(sphere * np.cos(angle))
 
 
 # Tables
@@ -209,7 +223,9 @@ def _linear_levels() -> Float32[np.ndarray, "256"]:
 
 @cache
 def _tone_table() -> UInt8[np.ndarray, " n"]:
-    return np.rint(255 * linear_to_srgb(np.arange(_TONES) / (_TONES - 1))).astype(np.uint8)
+    """Display levels of light 0..2 in steps of 1 / (`_TONES` - 1): what drops add may lead beyond white."""
+    light = np.minimum(np.arange(2 * _TONES) / (_TONES - 1), 1)
+    return np.rint(255 * linear_to_srgb(light)).astype(np.uint8)
 
 
 def _shrunk(image: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "r c 3"]:
@@ -247,13 +263,11 @@ def _fresnel(cos_in, cos_out, ratio):
 
 @numba.njit(cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
 @no_type_check
-def _trace(x, y, dx, dy, dz, angle, cos_turn, sin_turn, stretch):
-    """Trace a ray through a spherical cap that is stretched along one axis and compressed along the other.
+def _trace(x, y, dx, dy, dz, sphere, depth, cos_turn, sin_turn, stretch):
+    """Trace a ray through a spherical cap (`_cap`) that is stretched along one axis and compressed along the other.
 
     Lengths are in footprint radii. Three reflections inside are followed, as long as they are total.
     """
-    sphere = 1.0 / np.sin(angle)
-    depth = sphere * np.cos(angle)  # of the sphere's center below the pane
     # Coordinates in which the cap is a sphere's: a = (cos x + sin y) / stretch, b = (cos y - sin x) stretch.
     a = (cos_turn * x + sin_turn * y) / stretch
     b = (cos_turn * y - sin_turn * x) * stretch
@@ -389,7 +403,7 @@ def _look_up(levels, starts, level, x, y, found):
 
 @numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
 @no_type_check
-def _draw_drops(layer, drops, boxes, outlines, row_starts, members, view, axes, source, levels, starts, angle):
+def _draw_drops(layer, drops, boxes, outlines, row_starts, members, view, axes, source, levels, starts, sphere, depth):
     fx, fy, cx, cy, cell, margin = view
     to_pane = axes[3, 0] * axes[2, 0] + axes[3, 1] * axes[2, 1] + axes[3, 2] * axes[2, 2]
     for row in numba.prange(layer.shape[0]):
@@ -430,7 +444,7 @@ def _draw_drops(layer, drops, boxes, outlines, row_starts, members, view, axes, 
                         share = min(inside, 1.0)
                 if share <= 0.0:
                     continue
-                weight, out_u, out_v, out_n = _trace(u, v, du, dv, dz, angle, cos_turn, sin_turn, stretch)
+                weight, out_u, out_v, out_n = _trace(u, v, du, dv, dz, sphere, depth, cos_turn, sin_turn, stretch)
                 if weight < 0.0:
                     continue
                 free = share * (1.0 - layer[row, column, 3])
@@ -610,7 +624,7 @@ def _add_chord(made, sums_to, to, right, sums_from, start, left, weight):
 @no_type_check
 def _composite(image, layer, cell, margin, linear, tones, made):
     """I (1 - c) + L, with the layer interpolated between the centers of its cells; cells have 1, 2, 4... pixels."""
-    height, width, top = image.shape[0], image.shape[1], np.float32(len(tones) - 1)
+    height, width, top = image.shape[0], image.shape[1], np.float32(_TONES - 1)
     half, step, one, last = np.float32(0.5), np.float32(1 / cell), np.uint32(1), 4 * layer.shape[1]
     nearest = np.float32(0.5 / cell if cell > 1 else 0.0)  # from a cell's center to the first pixel after it, in cells
     flat = layer.reshape(layer.shape[0], last)
@@ -643,8 +657,8 @@ def _composite(image, layer, cell, margin, linear, tones, made):
             i = np.uint32(3 * start)
             for _ in range(end - start):
                 j, k = i + one, i + one + one
-                target[i] = tones[np.uint32(np.int32(min(linear[pixels[i]] * share + red, top)))]
-                target[j] = tones[np.uint32(np.int32(min(linear[pixels[j]] * share + green, top)))]
-                target[k] = tones[np.uint32(np.int32(min(linear[pixels[k]] * share + blue, top)))]
+                target[i] = tones[np.uint32(np.int32(linear[pixels[i]] * share + red))]
+                target[j] = tones[np.uint32(np.int32(linear[pixels[j]] * share + green))]
+                target[k] = tones[np.uint32(np.int32(linear[pixels[k]] * share + blue))]
                 red, green, blue, share = red + more_red, green + more_green, blue + more_blue, share + more
                 i = k + one
