@@ -123,7 +123,7 @@ class GlassView:
                 layer, glass.drops, boxes, outlines, row_starts, members, grid.view, grid.axes, source, levels, starts,
                 *_cap(glass.contact_angle_deg),
             )  # fmt: skip
-        blurred = _linear_levels()[_shrunk(image)]
+        blurred = _shrunk(image)
         _draw_veil(
             layer, grid.view, grid.axes, np.array(pane.low_m), glass.film_m, glass.film_cell_m, glass.dirt, dirt,
             -1.0 if glass.blade_rad is None else glass.blade_rad, blurred, np.array(cv2.mean(blurred)[:3]),
@@ -228,12 +228,12 @@ def _tone_table() -> UInt8[np.ndarray, " n"]:
     return np.rint(255 * linear_to_srgb(light)).astype(np.uint8)
 
 
-def _shrunk(image: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "r c 3"]:
-    """Twelfth of a picture: means of every fourth pixel in both directions."""
-    sparse = cv2.resize(image[2:, 2:], None, fx=0.25, fy=0.25, interpolation=cv2.INTER_NEAREST)
-    columns, rows = max(sparse.shape[1] // 3, 1), max(sparse.shape[0] // 3, 1)
-    shrunk = cv2.resize(sparse[: 3 * rows, : 3 * columns], (columns, rows), interpolation=cv2.INTER_AREA)
-    return np.asarray(shrunk, np.uint8)
+def _shrunk(image: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "r c 3"]:
+    """Linear light of a twelfth of a picture: mean display levels of every fourth pixel in both directions."""
+    rows, columns = (max(round((side - 2) / 4) // 3, 1) for side in image.shape[:2])
+    shrunk = np.empty((rows, columns, 3), np.float32)
+    _shrink(image, _linear_levels(), shrunk)
+    return shrunk
 
 
 def _pyramid(picture: UInt8[np.ndarray, "h w 3"]) -> tuple[Float32[np.ndarray, "texels 3"], Int64[np.ndarray, "n 3"]]:
@@ -250,6 +250,21 @@ def _pyramid(picture: UInt8[np.ndarray, "h w 3"]) -> tuple[Float32[np.ndarray, "
 
 
 # Kernels
+
+
+@numba.njit(parallel=True, cache=True, nogil=NOGIL)
+@no_type_check
+def _shrink(image, linear, shrunk):
+    for row in numba.prange(shrunk.shape[0]):
+        for column in range(shrunk.shape[1]):
+            red = green = blue = np.int64(0)
+            for k in range(9):
+                pixel = image[min(12 * row + 2 + k // 3 * 4, image.shape[0] - 1)]
+                at = min(12 * column + 2 + k % 3 * 4, image.shape[1] - 1)
+                red, green, blue = red + pixel[at, 0], green + pixel[at, 1], blue + pixel[at, 2]
+            shrunk[row, column, 0] = linear[(2 * red + 9) // 18]
+            shrunk[row, column, 1] = linear[(2 * green + 9) // 18]
+            shrunk[row, column, 2] = linear[(2 * blue + 9) // 18]
 
 
 @numba.njit(cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
@@ -532,13 +547,12 @@ def _draw_veil(layer, view, axes, low, film, film_cell, amount, dirt, blade, blu
             u, v, is_met = _place((column + 0.5 - margin) * step - first, y, plane)
             if not is_met:
                 continue
-            from_pivot = 0.0
-            if blade >= 0.0:
-                from_pivot = np.sqrt((u - PIVOT_M[0]) ** 2 + (v - PIVOT_M[1]) ** 2)
+            du, dv = u - PIVOT_M[0], v - PIVOT_M[1]
+            square = du * du + dv * dv
             dirty = 0.0
             if len(dirt) > 0:
                 dirty = amount * dirt[row, column]
-                if blade >= 0.0 and INNER_M <= from_pivot <= OUTER_M:
+                if blade >= 0.0 and INNER_M * INNER_M <= square <= OUTER_M * OUTER_M:
                     dirty *= _WIPED_SHARE
             film_x, film_y = (u - low[0]) * points_m, (v - low[1]) * points_m
             depth = 0.0
@@ -549,9 +563,8 @@ def _draw_veil(layer, view, axes, low, film, film_cell, amount, dirt, blade, blu
                 depth = (film[j, i] * (1 - right) + film[j, i + 1] * right) * (1 - above) + upper * above
             wet = _FILM_SHARE * (1.0 - np.exp(-depth / _FILM_M)) if depth > 0.0 else 0.0
             covered = 0.0
-            if blade >= 0.0 and from_pivot < OUTER_M:
-                half = 0.5 * (BLADE_M if from_pivot > INNER_M else _ARM_M)
-                du, dv = u - PIVOT_M[0], v - PIVOT_M[1]
+            if blade >= 0.0 and square < OUTER_M * OUTER_M:
+                half = 0.5 * (BLADE_M if square > INNER_M * INNER_M else _ARM_M)
                 if du * to_u + dv * to_v > 0.0:
                     off = abs(dv * to_u - du * to_v)
                     covered = min(max((half - off) / 0.001 + 0.5, 0.0), 1.0)
