@@ -11,7 +11,8 @@ wall and of the processor (all threads).
 import argparse
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import cv2
@@ -80,25 +81,35 @@ def shortest_ms(
     pictures = {kind: sequence_of(changes) for kind, changes in PICTURES.items()}
     behind = {kind: (sequence_of({"glass": kind}), CameraOptics()) for kind in GLASS}
     sky = pictures["no water"].sky(renderer)
-    shortest = {kind: np.full((2, len(FRAMES)), np.inf) for kind in (*pictures, *behind)}
-    for round_ in range(rounds + 1):
-        for column, number in enumerate(FRAMES):
+    clock = Clock((*pictures, *behind))
+    for clock.round in range(rounds + 1):
+        for clock.column, number in enumerate(FRAMES):
             image = np.zeros((height, width, 3), np.uint8)
-
-            def measure(kind: str, draw: Callable[[], np.ndarray], place: int = column) -> np.ndarray:
-                before = np.array([time.perf_counter(), time.process_time()])
-                drawn = draw()
-                spent = 1000 * (np.array([time.perf_counter(), time.process_time()]) - before)
-                if round_ > 0:  # the first one compiles
-                    shortest[kind][:, place] = np.minimum(shortest[kind][:, place], spent)
-                return drawn
-
             for kind, sequence in pictures.items():
-                image = measure(kind, lambda sequence=sequence: sequence.image(renderer, number, sky))
+                with clock.measured(kind):
+                    image = sequence.image(renderer, number, sky)
             for kind, (sequence, optics) in behind.items():
-                through = lambda s=sequence, o=optics: through_glass(renderer, s, o, number, sky, image)  # noqa: E731
-                measure(kind, through)
-    return {kind: each[:, 1:] for kind, each in shortest.items()}
+                with clock.measured(kind):
+                    through_glass(renderer, sequence, optics, number, sky, image)
+    return {kind: each[:, 1:] for kind, each in clock.shortest.items()}
+
+
+class Clock:
+    """Shortest times in ms of wall and processor (rows) of each frame (columns), by kind."""
+
+    def __init__(self, kinds: Sequence[str]) -> None:
+        self.shortest = {kind: np.full((2, len(FRAMES)), np.inf) for kind in kinds}
+        self.round = self.column = 0
+
+    @contextmanager
+    def measured(self, kind: str) -> Iterator[None]:
+        """Measure what is done in the context; the first round compiles, and does not count."""
+        before = np.array([time.perf_counter(), time.process_time()])
+        yield
+        if self.round > 0:
+            spent = 1000 * (np.array([time.perf_counter(), time.process_time()]) - before)
+            times = self.shortest[kind]
+            times[:, self.column] = np.minimum(times[:, self.column], spent)
 
 
 def through_glass(

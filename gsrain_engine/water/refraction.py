@@ -79,9 +79,7 @@ def wide_view(camera: Camera, pane: Pane, lens: ThinLens) -> Camera:
 
 
 @lru_cache(maxsize=8)
-def _wide_px(
-    pane: Pane, lens: ThinLens, intrinsics: tuple[float, float, float, float], width: int, height: int
-) -> int:
+def _wide_px(pane: Pane, lens: ThinLens, intrinsics: tuple[float, float, float, float], width: int, height: int) -> int:
     camera = Camera(width, height, *intrinsics)
     depth_m = float(pane.origin_m @ pane.normal) / max(float(pane.normal[2]), 0.02)
     cells = camera.fx * _LARGE_M / depth_m / _cell_px(_circles_px(pane, lens, camera, _edges_px(camera)))
@@ -421,6 +419,7 @@ def _look_up(levels, starts, level, x, y, found):
 def _draw_drops(layer, drops, boxes, outlines, row_starts, members, view, axes, source, levels, starts, sphere, depth):
     fx, fy, cx, cy, cell, margin = view
     to_pane = axes[3, 0] * axes[2, 0] + axes[3, 1] * axes[2, 1] + axes[3, 2] * axes[2, 2]
+    most = 1.0 if cell == 1 else np.inf  # cells that are averaged may stand for more than their own area
     for row in numba.prange(layer.shape[0]):
         color = np.empty(3)
         y = ((row + 0.5 - margin) * cell - cy) / fy
@@ -448,6 +447,7 @@ def _draw_drops(layer, drops, boxes, outlines, row_starts, members, view, axes, 
                 share = 1.0
                 if cells < 1.0:  # smaller than a cell: its area, around its place
                     share = max(1.0 - abs(u) * cells, 0.0) * max(1.0 - abs(v) * cells, 0.0) * np.pi * cells * cells
+                    share = min(share, most)
                     shrink = 0.6 / max(distance, 0.6)
                     u, v = u * shrink, v * shrink
                 else:
@@ -647,7 +647,7 @@ def _composite(image, layer, cell, margin, linear, tones, made):
         below = place - np.float32(row)
         between, upper, lower = np.empty(last, np.float32), flat[row], flat[row + 1]
         for i in range(last):
-            between[i] = top * min(upper[i] + below * (lower[i] - upper[i]), np.float32(1))
+            between[i] = top * min(max(upper[i] + below * (lower[i] - upper[i]), np.float32(0)), np.float32(1))
         pixels, target = image[y].reshape(3 * width), made[y].reshape(3 * width)
         for column in range(margin - 1, layer.shape[1] - margin):
             # Pixels between the centers of two cells.
