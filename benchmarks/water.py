@@ -11,7 +11,7 @@ wall and of the processor (all threads).
 import argparse
 import json
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -102,7 +102,7 @@ class Clock:
         self.round = self.column = 0
 
     @contextmanager
-    def measured(self, kind: str) -> Iterator[None]:
+    def measured(self, kind: str) -> Generator[None]:
         """Measure what is done in the context; the first round compiles, and does not count."""
         before = np.array([time.perf_counter(), time.process_time()])
         yield
