@@ -128,6 +128,19 @@ def test_an_open_lens_spreads_a_drop_over_its_circle_of_confusion_and_keeps_its_
     assert abs(len(rows) * wide_cell - circle_px) <= 3 * wide_cell and margin * wide_cell > circle_px / 2
 
 
+def test_drops_as_small_as_a_pixel_cover_no_more_than_it():
+    """A sharp layer with a coverage beyond 1, and light below 0, once led outside of the table of tones."""
+    camera = camera_of()
+    pixel_m = 0.02 / camera.fx
+    middles = pixel_m * (np.arange(-8, 9, 2) + 0.5)
+    places = [(u, v) for u in middles for v in middles]
+    drops = [(u, v, size * pixel_m) for u, v in places for size in (0.7, 0.9, 0.8)]
+    view = GlassView(glass_with(camera, drops=drops), camera, PINHOLE, horizon(wide_camera(camera)))
+    layer, cell, _ = view.layer(horizon(camera))
+    assert cell == 1 and layer[..., 3].max() > 0.9
+    assert layer.min() >= 0 and layer.max() <= 1 + 1e-6
+
+
 def test_a_dry_clean_pane_changes_nothing_and_dirt_spreads_light():
     camera = camera_of()
     clear = horizon(camera)

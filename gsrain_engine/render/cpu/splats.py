@@ -7,6 +7,7 @@ import numba
 import numpy as np
 from jaxtyping import Float, Float32, Float64, Int32, Int64, UInt32
 
+from ...kernels import NOGIL
 from ...scene.camera import Camera
 from ...scene.flags import BitMask
 from ...scene.scene import DrawItem
@@ -66,18 +67,42 @@ class Splats:
 
 
 def nearest_first(depths: Float[np.ndarray, " m"]) -> Int32[np.ndarray, " drawn"]:
-    """Rows with a depth above 0, sorted by it as float32; equal depths keep their index.
+    """Rows with a depth above 0, sorted by it as float32; equal depths keep their order."""
+    return _nearest_first(np.ascontiguousarray(depths, np.float32).view(np.uint32))
 
-    One 64-bit number each, depth above row: all are distinct, so any fast sort is stable. The bits of a positive
-    float32 sort like the number itself.
-    """
-    depths = np.ascontiguousarray(depths, np.float32)
-    rows = np.flatnonzero(depths)
-    keys = depths[rows].view(np.uint32).astype(np.uint64)
-    keys <<= np.uint64(32)
-    keys |= rows.astype(np.uint64)
-    keys.sort()
-    return keys.astype(np.uint32).view(np.int32)  # the lower halves
+
+_DIGIT_BITS, _DIGITS = 11, 3
+_DIGIT = np.uint32((1 << _DIGIT_BITS) - 1)
+
+
+@numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
+@no_type_check
+def _nearest_first(words):
+    """Sort by radix, from the lowest digit on: the bits of a positive float32 sort like the number itself."""
+    counts = np.zeros((_DIGITS, 1 << _DIGIT_BITS), np.int64)
+    keys, rows, drawn = np.empty(len(words), np.uint32), np.empty(len(words), np.int32), 0
+    for row in range(len(words)):
+        word = words[row]
+        if word != 0:
+            keys[drawn], rows[drawn] = word, row
+            drawn += 1
+            for digit in range(_DIGITS):
+                counts[digit, (word >> np.uint32(digit * _DIGIT_BITS)) & _DIGIT] += 1
+    keys, rows = keys[:drawn], rows[:drawn]
+    next_keys, next_rows = np.empty(drawn, np.uint32), np.empty(drawn, np.int32)
+    for digit in range(_DIGITS):
+        places, total = counts[digit], 0
+        for value in range(len(places)):
+            count = places[value]
+            places[value] = total
+            total += count
+        shift = np.uint32(digit * _DIGIT_BITS)
+        for n in range(drawn):
+            value = (keys[n] >> shift) & _DIGIT
+            next_keys[places[value]], next_rows[places[value]] = keys[n], rows[n]
+            places[value] += 1
+        keys, next_keys, rows, next_rows = next_keys, keys, next_rows, rows
+    return rows
 
 
 def mask_words(mask: BitMask | None) -> UInt32[np.ndarray, " w"]:
@@ -147,17 +172,17 @@ def write_shape(u, v, xx, xy, yy, opacity, is_rain, as_point, antialiased, width
 def color_of(mean, sh, wet_sh, i, wetness, eye, change, basis, color):
     """Write the display color, max(0, change of (sum of harmonics + 0.5)); return whether it is finite.
 
-    If there are wet harmonics, their row i is blended in before the change.
+    Harmonics are those of row i. If there are wet ones, they are blended in before the change.
     """
     x, y, z = mean[0] - eye[0], mean[1] - eye[1], mean[2] - eye[2]
     by_length = 1 / np.sqrt(x * x + y * y + z * z)
-    coefficients = sh.shape[0]
+    coefficients = sh.shape[1]
     sh_basis(np.float32(x * by_length), np.float32(y * by_length), np.float32(z * by_length), coefficients, basis)
     red = green = blue = np.float32(0.5)
     for k in range(coefficients):
-        red += basis[k] * sh[k, 0]
-        green += basis[k] * sh[k, 1]
-        blue += basis[k] * sh[k, 2]
+        red += basis[k] * sh[i, k, 0]
+        green += basis[k] * sh[i, k, 1]
+        blue += basis[k] * sh[i, k, 2]
     if len(wet_sh) > 0:
         r = g = b = np.float32(0.5)
         for k in range(coefficients):
