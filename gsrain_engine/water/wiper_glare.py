@@ -10,7 +10,7 @@ from typing import no_type_check
 import cv2
 import numba
 import numpy as np
-from jaxtyping import Float32, Float64, UInt8
+from jaxtyping import Float32, Float64, UInt8, UInt32
 
 from ..kernels import NOGIL
 from ..scene.camera import Camera
@@ -50,7 +50,8 @@ def lamp_streaks(
     if min(rows, columns) < 2:
         return None
     lamps = np.empty((rows, columns, 3), np.float32)
-    if not _find_lamps(np.ascontiguousarray(image), _light_of_lamps(), lamps):
+    image = np.ascontiguousarray(image)
+    if not _find_lamps(image, _bright(image), _light_of_lamps(), lamps):
         return None
     made, (x, y, z) = np.zeros_like(lamps), pivot
     around = cv2.blur(lamps, (_WIDE, _WIDE))
@@ -85,6 +86,14 @@ def add_streaks(
     _add_streaks(layer, streaks, view, axes, np.array(low_m), film_m, film_cell_m, *share)
 
 
+def _bright(image: UInt8[np.ndarray, "h w 3"]) -> UInt32[np.ndarray, "r c3"]:
+    """Three words for a pixel of the glare, all 0 where no value is above `_FROM`: OpenCV compares whole vectors."""
+    rows, columns = image.shape[0] // SHRINK, image.shape[1] // SHRINK
+    values = image[: SHRINK * rows, : SHRINK * columns].reshape(rows, SHRINK, -1)
+    highest = cv2.max(cv2.max(values[:, 0], values[:, 1]), cv2.max(values[:, 2], values[:, 3]))
+    return cv2.threshold(highest, _FROM, 255, cv2.THRESH_BINARY)[1].view(np.uint32)
+
+
 @cache
 def _light_of_lamps() -> Float32[np.ndarray, "256 2"]:
     """Linear light of a level, and the share to which a pixel with this brightest channel is a lamp."""
@@ -98,11 +107,14 @@ def _light_of_lamps() -> Float32[np.ndarray, "256 2"]:
 
 @numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
-def _find_lamps(image, tables, lamps):
+def _find_lamps(image, bright, tables, lamps):
     """Write the mean light of lamps of each pixel of the glare; returns the number of pixels with any."""
     side, found = SHRINK, 0
     for row in numba.prange(lamps.shape[0]):
+        lamps[row] = 0
         for column in range(lamps.shape[1]):
+            if (bright[row, 3 * column] | bright[row, 3 * column + 1] | bright[row, 3 * column + 2]) == 0:
+                continue
             red = green = blue = np.float32(0)
             for y in range(side * row, side * row + side):
                 for x in range(side * column, side * column + side):
@@ -170,19 +182,22 @@ def _draw_streak(made, from_row, from_column, lamp, around, pivot, length):
 def _smear(light, pivot, length, made):
     height, width = light.shape[0], light.shape[1]
     step = max(_REACH * length / _TAPS, 1e-3)
+    weights = np.empty(2 * _TAPS + 1)
+    for k in range(-_TAPS, _TAPS + 1):
+        weights[k + _TAPS] = np.exp(-abs(k) * step / length)
+    total = weights.sum()
     for row in numba.prange(height):
         for column in range(width):
             dx, dy = _direction(column + 0.5, row + 0.5, pivot)
-            red = green = blue = total = 0.0
+            red = green = blue = 0.0
             for k in range(-_TAPS, _TAPS + 1):
-                weight = np.exp(-abs(k) * step / length)
+                weight = weights[k + _TAPS]
                 x = min(max(column + k * step * dx, 0.0), width - 1.0)
                 y = min(max(row + k * step * dy, 0.0), height - 1.0)
                 i, j = int(y + 0.5), int(x + 0.5)
                 red += weight * light[i, j, 0]
                 green += weight * light[i, j, 1]
                 blue += weight * light[i, j, 2]
-                total += weight
             made[row, column, 0], made[row, column, 1] = red / total, green / total
             made[row, column, 2] = blue / total
 
