@@ -10,6 +10,7 @@ from ...kernels import NOGIL
 from .fast_math import FAST, exponential
 
 TILE = 16  # side of a tile in pixels: a column of it is one 512-bit or two 256-bit vectors of float32
+LANES = 8  # pixels of a column that are processed at once
 BATCH = 32  # splats gathered from memory before they are processed, so that their cache misses overlap
 _CHUNKS = 32  # parts of the splat list that are processed in parallel; the result does not depend on it
 _MAX_PAIRS = 1 << 30
@@ -210,13 +211,14 @@ def walk_tiles(tiles, shapes, channels, lines, sums, enter, visit, leave, data):
         state[: width - x0, : min(TILE, height - y0)] = 1
         enter(state, x0, y0, data)
         lanes = np.empty(sums * TILE, shapes.dtype)
-        near_shapes = np.empty((BATCH, 8), shapes.dtype)
+        near_shapes = np.empty((BATCH, 8 + 4), shapes.dtype)
         near_channels = np.empty((BATCH, channels.shape[1]), shapes.dtype)
         for first in range(starts[tile], starts[tile + 1], BATCH):
-            if is_finished(state):
+            bounds = open_pixels(state)
+            if bounds[0] >= bounds[1]:
                 break
             batch = members[first : min(first + BATCH, starts[tile + 1])]
-            gather_rows(shapes, batch, near_shapes)
+            gather_shapes(shapes, batch, near_shapes, real(x0 + 0.5), real(y0 + 0.5), bounds)
             gather_rows(channels, batch, near_channels)
             for j in range(len(batch)):
                 visit(near_shapes, near_channels, j, real(x0 + 0.5), real(y0 + 0.5), state, lanes, first + j, data)
@@ -226,16 +228,16 @@ def walk_tiles(tiles, shapes, channels, lines, sums, enter, visit, leave, data):
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)
 @no_type_check
 def walk_pixels(shape, x, y, state, lanes, visit, data):
-    """Walk over the pixels of a tile in the columns that a splat reaches; `visit` as in `walk_column`."""
-    left, right = columns_of(shape, x)
-    for u in range(left, right):
-        walk_column(shape, u, x, y, state[u], lanes, visit, data)
+    """Walk over the pixels of a tile that a splat may reach; `visit` as in `walk_lanes`."""
+    for half in range(int(shape[10]), int(shape[11])):
+        for u in range(int(shape[8]), int(shape[9])):
+            walk_lanes(shape, u, half, x, y, state[u], lanes, visit, data)
 
 
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)
 @no_type_check
-def walk_column(shape, u, x, y, line, lanes, visit, data):
-    """Walk over the pixels of column u of a tile; `line` is its row of the state, (x, y) the center of the first pixel.
+def walk_lanes(shape, u, half, x, y, line, lanes, visit, data):
+    """Walk over LANES pixels of column u of a tile; `line` is its row of the state, (x, y) the center of the first pixel.
 
     `visit` is called as visit(line, v, dx, dy, falloff, lanes, data) for each row v. (dx, dy) is the pixel's offset
     from the splat's center and line, the brackets in `Splats`; `log_alpha` takes both and `falloff`.
@@ -244,8 +246,9 @@ def walk_column(shape, u, x, y, line, lanes, visit, data):
     falloff = shape[3], shape[4], shape[5], shape[6]
     dx = real(u) + (x - shape[0])
     start = y - (shape[1] + shape[2] * dx)
-    for v in range(TILE):
-        visit(line, v, dx, start + real(v), falloff, lanes, data)
+    first = (half & (TILE // LANES - 1)) * LANES  # masked, so that LLVM can tell that no index is negative
+    for v in range(LANES):
+        visit(line, first + v, dx, start + (real(first) + real(v)), falloff, lanes, data)
 
 
 @numba.njit(inline="always", error_model="numpy")
@@ -259,31 +262,50 @@ def nothing(state, x0, y0, data):
 def gather_rows(rows, members, near):
     """Copy scattered rows next to each other before they are processed, so that cache misses overlap."""
     for j in range(len(members)):
-        for i in range(near.shape[1]):
-            near[j, i] = rows[members[j], i]
+        row = rows[members[j]]
+        for i in range(len(row)):
+            near[j, i] = row[i]
 
 
 @numba.njit(inline="always")
 @no_type_check
-def is_finished(state):
-    """Return whether all pixels of a tile are finished."""
+def open_pixels(state):
+    """First and past-the-last column and half of a tile with a pixel that is not finished."""
+    left, right, top, bottom = TILE, 0, TILE // LANES, 0
     for u in range(TILE):
         line = state[u]
-        largest = state.dtype.type(0)
-        for v in range(TILE):
-            largest = max(largest, line[v])
-        if largest > 0:
-            return False
-    return True
+        for half in range(TILE // LANES):
+            is_open = False
+            for v in range(LANES):
+                is_open |= line[half * LANES + v] > 0
+            if is_open:
+                left, right = min(left, u), u + 1
+                top, bottom = min(top, half), max(bottom, half + 1)
+    return left, right, top, bottom
 
 
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)
 @no_type_check
-def columns_of(shape, x):
-    """First and past-the-last column of a tile that a splat reaches; x is the center of the tile's first pixel."""
-    low = np.ceil(shape[0] - shape[7] - x - np.float32(0.01))
-    high = np.floor(shape[0] + shape[7] - x + np.float32(0.01))
-    return int(max(low, np.float32(0))), int(min(high, np.float32(TILE - 1))) + 1
+def gather_shapes(shapes, members, near, x, y, bounds):
+    """Copy scattered shapes, and write behind each the first and past-the-last column and half that it may reach.
+
+    x, y is the center of the tile's first pixel, `bounds` are from `open_pixels`.
+    """
+    real = near.dtype.type
+    left, right, top, bottom = real(bounds[0]), real(bounds[1]), real(bounds[2]), real(bounds[3])
+    one, slack, by_half = real(1), real(0.01), real(1 / LANES)
+    for j in range(len(members)):
+        shape, row = shapes[members[j]], near[j]
+        for i in range(8):
+            row[i] = shape[i]
+        center_x, center_y, shear, reach_x = shape[0] - x, shape[1] - y, shape[2], shape[7]
+        # 2 ln(alpha / cut) times the variance in y
+        extent = (shape[6] - shape[5] - real(4e-6)) * (shape[3] + shear * shear * shape[4]) / (shape[3] * shape[4])
+        reach_y = np.sqrt(extent) * real(1 + 1e-5) + slack
+        row[8] = max(np.ceil(center_x - reach_x - slack), left)
+        row[9] = min(np.floor(center_x + reach_x + slack) + one, right)
+        row[10] = max(np.floor(np.ceil(center_y - reach_y) * by_half), top)
+        row[11] = min(np.floor(np.floor(center_y + reach_y) * by_half) + one, bottom)
 
 
 @numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)
