@@ -12,7 +12,7 @@ from numba.extending import intrinsic
 
 from ..render.cpu.compositing import ColorOperator
 from ..render.cpu.fast_math import FAST
-from ..render.cpu.tiles import TILE, absorb, alpha_at, nothing, walk_lanes, walk_tiles
+from ..render.cpu.tiles import TILE, absorb, alpha_at, columns_of, nothing, walk_column, walk_tiles
 
 SplatColors = Float32[np.ndarray, "m 3"]
 Picture = Float32[np.ndarray, "h w 3"]

@@ -30,6 +30,7 @@ from .splats import (
     write_shape,
 )
 
+
 def project(
     parts: Sequence[DrawItem],
     camera: Camera,
