@@ -81,7 +81,8 @@ def shelter_map_of(scene: Scene) -> ShelterMap | None:
     The maps of the last two scenes are cached, for split views.
     """
     layers = [layer for layer in scene.layers if layer.visible and layer.kind == "background"]
-    poses = [np.ascontiguousarray(scene.scene_to_world @ layer.to_scene).tobytes() for layer in layers]
+    to_world = scene.scene_to_world
+    poses = [np.ascontiguousarray(to_world @ layer.to_scene).tobytes() for layer in layers]
     solids = zip(layers, poses, strict=True)
     return _roofs_of_solids(
         tuple(_SolidLayer(each.gaussians, pose, each.marks.left_out, each.opacity) for each, pose in solids)

@@ -208,7 +208,7 @@ def rain_camera(scene: Scene, rainfall: RainSimulation, shot: RenderView) -> Rai
             velocity = camera.world_to_camera[:3, :3].T @ camera.rolling.velocity_m_s
     return RainCamera(
         shot.camera,
-        rain_anchor(scene, rainfall, shot) if mounted is None else mounted,
+        _leveled_at(shot.camera) if mounted is None else mounted,
         velocity,
         shot.focal_px,
         shelter_map_of(scene) if rainfall.rain.roofs else None,
@@ -234,7 +234,11 @@ def rain_anchor(scene: Scene, rainfall: RainSimulation, shot: RenderView) -> Flo
     drops. Any other camera carries the regions along: they are at its position and turn with its heading.
     """
     mounted = _ego_anchor(scene, rainfall, shot)
-    return leveled_frame(shot.camera.world_to_camera[2, :3], shot.camera.position) if mounted is None else mounted
+    return _leveled_at(shot.camera) if mounted is None else mounted
+
+
+def _leveled_at(camera: Camera) -> Float64[np.ndarray, "4 4"]:
+    return leveled_frame(camera.world_to_camera[2, :3], camera.position)
 
 
 def _ego_anchor(scene: Scene, rainfall: RainSimulation, shot: RenderView) -> Float64[np.ndarray, "4 4"] | None:

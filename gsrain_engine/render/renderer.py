@@ -8,12 +8,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
-from typing import Literal, Protocol, runtime_checkable
+from typing import Literal, Protocol, no_type_check, runtime_checkable
 
 import numba
 import numpy as np
 from jaxtyping import Float32, UInt8
 
+from ..kernels import NOGIL
 from ..rain.frame import RainFrame
 from ..scene.camera import Camera
 from ..scene.scene import DrawItem
@@ -75,10 +76,8 @@ class Frame:
 
     def to_uint8(self, background: Color = (0.0, 0.0, 0.0)) -> UInt8[np.ndarray, "h w 3"]:
         """Return the 8-bit image over a plain background, rounded to nearest, as the camera stores it."""
-        image = self.over(background)
-        np.clip(image, 0, 1, out=image)  # in place, since every video frame is converted here
-        image *= 255
-        pixels = np.rint(image, out=image).astype(np.uint8)
+        pixels = np.empty((*self.rgba.shape[:2], 3), np.uint8)
+        _quantize(np.ascontiguousarray(self.rgba, np.float32), np.array(background, np.float32), pixels)
         return pixels if self.optics is None else self.optics.picture(pixels)
 
     def to_rgba8(self) -> UInt8[np.ndarray, "h w 4"]:
@@ -86,6 +85,21 @@ class Frame:
         alpha = np.clip(self.rgba[..., 3:], 0, 1)
         color = np.clip(self.rgba[..., :3] / np.maximum(alpha, 1e-6), 0, 1) * (alpha > 0)
         return np.rint(255 * np.concatenate([color, alpha], axis=-1)).astype(np.uint8)
+
+
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@no_type_check
+def _quantize(rgba, background, pixels):
+    """Write the 8-bit image over a background: every video frame is converted here."""
+    zero, one, top = np.float32(0), np.float32(1), np.float32(255)
+    red, green, blue = background[0], background[1], background[2]
+    for row in numba.prange(pixels.shape[0]):
+        for column in range(pixels.shape[1]):
+            color, pixel = rgba[row, column], pixels[row, column]
+            behind = one - color[3]
+            pixel[0] = np.int32(np.rint(min(max(color[0] + behind * red, zero), one) * top))
+            pixel[1] = np.int32(np.rint(min(max(color[1] + behind * green, zero), one) * top))
+            pixel[2] = np.int32(np.rint(min(max(color[2] + behind * blue, zero), one) * top))
 
 
 PendingImage = Callable[[], UInt8[np.ndarray, "h w 3"]]

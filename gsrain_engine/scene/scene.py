@@ -595,13 +595,13 @@ class Scene:
         `selection` tints selected Gaussians; `wetness` (0..1) blends in the wet colors of members that have them, and
         `overcast` those of sky layers (None: `wetness`, too). During a readout around that time, actors move.
         """
-        sky = wetness if overcast is None else overcast
-        parts = [
-            self.part(each, time_s, selection=selection, wetness=sky if is_sky(each) else wetness, readout_s=readout_s)
-            for each in self.members
-            if each.visible
-        ]
-        return [part for part in parts if part is not None]
+        sky, to_world, parts = wetness if overcast is None else overcast, self.scene_to_world, list[DrawItem]()
+        for each in self.members:
+            if each.visible:
+                own = sky if is_sky(each) else wetness
+                part = _part(each, to_world, time_s, selection=selection, wetness=own, readout_s=readout_s)
+                parts += [] if part is None else [part]
+        return parts
 
     def part(
         self,
@@ -613,28 +613,8 @@ class Scene:
         readout_s: float = 0.0,
     ) -> DrawItem | None:
         """Item of a member at a time; None while it is absent. See `parts`."""
-        pose = member.pose_at(time_s)
-        if pose is None:
-            return None
-        ends: tuple[Float64[np.ndarray, "4 4"], Float64[np.ndarray, "4 4"]] | None = None
-        if readout_s > 0 and isinstance(member, Actor):
-            first, last = (member.pose_at(time_s + side * readout_s / 2) for side in (-1, 1))
-            ends = (
-                self.scene_to_world @ (pose if first is None else first),
-                self.scene_to_world @ (pose if last is None else last),
-            )
-        return DrawItem(
-            member.gaussians,
-            self.scene_to_world @ pose,
-            left_out=member.marks.left_out,
-            selected=member.marks.selected if selection else None,
-            opacity=member.opacity,
-            colors=None if member.grading == UNCHANGED else member.grading.matrix,
-            wet_sh=member.wet_sh,
-            wetness=0.0 if member.wet_sh is None else 1.0 if wetness > _AS_WET_AS_SOAKED else wetness,
-            tree=member.tree if member.tree is not None and member.tree.fits(member.gaussians) else None,
-            to_world_ends=ends,
-        )
+        to_world = self.scene_to_world
+        return _part(member, to_world, time_s, selection=selection, wetness=wetness, readout_s=readout_s)
 
     def ego_to_world(self, time_s: float) -> Float64[np.ndarray, "4 4"] | None:
         """Pose of the ego vehicle in meters, without scale; None if the scene has none at that time."""
@@ -660,6 +640,36 @@ class Scene:
             if mount is not None:
                 placed.append((lamp, mount))
         return lit_lamps(placed)
+
+
+def _part(
+    member: Layer | Actor,
+    scene_to_world: Float64[np.ndarray, "4 4"],
+    time_s: float,
+    *,
+    selection: bool,
+    wetness: float,
+    readout_s: float,
+) -> DrawItem | None:
+    pose = member.pose_at(time_s)
+    if pose is None:
+        return None
+    ends: tuple[Float64[np.ndarray, "4 4"], Float64[np.ndarray, "4 4"]] | None = None
+    if readout_s > 0 and isinstance(member, Actor):
+        first, last = (member.pose_at(time_s + side * readout_s / 2) for side in (-1, 1))
+        ends = scene_to_world @ (pose if first is None else first), scene_to_world @ (pose if last is None else last)
+    return DrawItem(
+        member.gaussians,
+        scene_to_world @ pose,
+        left_out=member.marks.left_out,
+        selected=member.marks.selected if selection else None,
+        opacity=member.opacity,
+        colors=None if member.grading == UNCHANGED else member.grading.matrix,
+        wet_sh=member.wet_sh,
+        wetness=0.0 if member.wet_sh is None else 1.0 if wetness > _AS_WET_AS_SOAKED else wetness,
+        tree=member.tree if member.tree is not None and member.tree.fits(member.gaussians) else None,
+        to_world_ends=ends,
+    )
 
 
 _AS_WET_AS_SOAKED = 1 - 2**-11

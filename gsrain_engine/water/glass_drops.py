@@ -481,11 +481,11 @@ def _wipe(drops, heads, links, free, counts, film, totals, on_blade, low, angles
             distance = np.hypot(x, y)
             if not INNER_M <= distance <= OUTER_M:
                 continue
-            band, fine = np.int64(distance / 0.011), np.int64(distance / 0.0021)
+            band, fine = np.int64(distance / 0.008), np.int64(distance / 0.0021)
             a, _, _, _ = pcg4d_scalar(np.uint32(band), np.uint32(0), np.uint32(0x27D4EB2F), seed)
             c, _, _, _ = pcg4d_scalar(np.uint32(fine), np.uint32(1), np.uint32(0x27D4EB2F), seed)
             worn = max(a * _UNIT - 0.55, 0.0) / 0.45
-            depth = _STREAKS_M * (0.12 + 0.88 * worn * (0.4 + 0.6 * c * _UNIT))
+            depth = _STREAKS_M * (0.06 + 0.94 * worn * (0.3 + 0.7 * c * _UNIT))
             on_blade[0] += np.float64(film[row, column]) * area
             left = np.float32(min(depth, 0.5 * on_blade[0] / area))
             film[row, column] = left

@@ -30,6 +30,10 @@ _TAPS = np.exp(-0.5 * (0.9 * np.arange(-2, 3)) ** 2).astype(np.float32)
 _TILTS = 97
 _MIN_SINE = np.float32(2e-3)  # of a ray's angle to the ground; others pass over it
 _LAMP_REACH = 4.0  # of a lamp's image, in standard deviations of the slope
+_LAMP_M = 0.2  # radius of a lamp, by which the shadows of its light are soft
+_BEHIND_M, _BEHIND = 0.5, 0.02  # by which a lamp's light is behind what blocks it: a length, and a share of its depth
+_SHADOW_STEPS = 12
+_VISIBLE = 4e-4  # light from which what hides its lamp is looked for: about a level in the dark, under a full film
 
 
 def rows_of_ground(camera: Camera) -> tuple[int, int]:
@@ -203,7 +207,7 @@ def make_mirror(
     _blur_rows(columns, sines, shares, slopes.astype(np.float32), fx, light)
     if lamps is not None and len(lamps.positions_m):
         rows = _lamp_rows(lamps.brightest(camera.position))
-        _add_lamps(light, sines, distances, to_world, intrinsics, rows, slopes, ground_m, extinction_per_m)
+        _add_lamps(light, sines, distances, depth, to_world, intrinsics, rows, slopes, ground_m, extinction_per_m)
     films = light[:, :, 0] + np.float32(flooded) * (light[:, :, 1] - light[:, :, 0])
     filled, as_wet = standing or (1.0, wetness)
     if filled < 1:
@@ -505,11 +509,11 @@ def _lamp_rows(lamps: LitLamps) -> Float64[np.ndarray, "n 11"]:
 
 @numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
-def _add_lamps(light, sines, distances, to_world, intrinsics, lamps, slopes, ground_m, extinction_per_m):
+def _add_lamps(light, sines, distances, depth, to_world, intrinsics, lamps, slopes, ground_m, extinction_per_m):
     """Add the light of lamps that rough water reflects: F D G / (4 cos v) times the irradiance.
 
     The model of Cook and Torrance (1982) with Gaussian slopes (Beckmann 1963). The lamp is a point, so that no image of
-    it has to be blurred.
+    it has to be blurred; what the mirror image shows in front of it hides it.
     """
     height, width = sines.shape
     fx, fy, cx, cy = intrinsics
@@ -545,12 +549,52 @@ def _add_lamps(light, sines, distances, to_world, intrinsics, lamps, slopes, gro
                 facing = min((hx * lx + hy * ly + hz * lz) / norm, 1.0)
                 upright = hz / norm
                 dimmed = cone * np.exp(-extinction_per_m * (away + length)) / (length * length)
+                open_share = -1.0  # of the lamp: not yet known
                 for water in range(2):
                     slope = slopes[water, angle]
                     if squared > (_LAMP_REACH * slope) ** 2:
                         continue
                     density = np.exp(-0.5 * squared / (slope * slope)) / (2 * np.pi * slope * slope * upright**4)
-                    open_share = unshadowed(sine, slope) * unshadowed(lz, slope)
-                    gain = dimmed * reflectance(facing, WATER_INDEX) * density * open_share / (4 * sine)
+                    shadowed = unshadowed(sine, slope) * unshadowed(lz, slope)
+                    gain = dimmed * reflectance(facing, WATER_INDEX) * density * shadowed / (4 * sine)
+                    if gain * max(lamps[i, 6], lamps[i, 7], lamps[i, 8]) > _VISIBLE:
+                        if open_share < 0:
+                            z = away * scale
+                            open_share = _open_share(depth, row, column, z, lamps[i], ground_m, to_world, intrinsics)
+                        gain *= open_share
                     for c in range(3):
                         light[row, column, water, c] += np.float32(gain * lamps[i, 6 + c])
+
+
+@numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
+@no_type_check
+def _open_share(depth, row, column, z, lamp, ground_m, to_world, intrinsics):
+    """Share of a lamp that a point of the ground sees, by depth z in the camera, past what the mirror image shows.
+
+    The way from the point to the mirrored lamp is a line in the mirror image; it is blocked where it is behind what is
+    visible there. Three ways, to the middle and the sides of the lamp, soften the edges of shadows.
+    """
+    fx, fy, cx, cy = intrinsics
+    x, y, height = lamp[0] - to_world[0, 3], lamp[1] - to_world[1, 3], 2 * ground_m - lamp[2] - to_world[2, 3]
+    lamp_z = to_world[0, 2] * x + to_world[1, 2] * y + to_world[2, 2] * height
+    if lamp_z <= z:
+        return 1.0
+    lamp_x = fx / lamp_z * (to_world[0, 0] * x + to_world[1, 0] * y + to_world[2, 0] * height) + cx - 0.5 - column
+    lamp_y = fy / lamp_z * (to_world[0, 1] * x + to_world[1, 1] * y + to_world[2, 1] * height) + cy - 0.5 - row
+    side = max(fx * _LAMP_M / lamp_z, 0.5)
+    found = 0.0
+    for k in range(-1, 2):
+        across = lamp_x + k * side
+        steps = min(int(max(abs(across), abs(lamp_y)) / 2) + 1, _SHADOW_STEPS)  # of two pixels
+        is_open = True
+        for step in range(1, steps + 1):
+            share = step / steps
+            i, j = int(np.floor(row + share * lamp_y + 0.5)), int(np.floor(column + share * across + 0.5))
+            if i < 0 or j < 0 or i >= depth.shape[0] or j >= depth.shape[1]:
+                break
+            there = 1 / ((1 - share) / z + share / lamp_z)
+            if 0 < depth[i, j] < there - _BEHIND_M - _BEHIND * there:
+                is_open = False
+                break
+        found += is_open
+    return found / 3

@@ -22,6 +22,7 @@ from ..scene.sensor import ThinLens
 from .glass_drops import RADIUS, SHAPE, SPEED, TO_U, TO_V, U, V
 from .pane import Pane
 from .wiper import BLADE_M, INNER_M, OUTER_M, PIVOT_M
+from .wiper_glare import add_streaks, lamp_streaks, pivot_px, smeared
 
 WATER_INDEX = 1.333
 """Refractive index of water for visible light."""
@@ -75,10 +76,15 @@ def wide_view(camera: Camera, pane: Pane, lens: ThinLens) -> Camera:
 
     It does not depend on the drops, so that nothing jumps when a larger one comes.
     """
+    return wide_camera(camera, _wide_px(pane, lens, camera.rounded_intrinsics, camera.width, camera.height))
+
+
+@lru_cache(maxsize=8)
+def _wide_px(pane: Pane, lens: ThinLens, intrinsics: tuple[float, float, float, float], width: int, height: int) -> int:
+    camera = Camera(width, height, *intrinsics)
     depth_m = float(pane.origin_m @ pane.normal) / max(float(pane.normal[2]), 0.02)
     cells = camera.fx * _LARGE_M / depth_m / _cell_px(_circles_px(pane, lens, camera, _edges_px(camera)))
-    coarse = wide_camera(camera, _COARSE_PX)
-    return coarse if _SPREAD * coarse.fx / cells >= _FINE else wide_camera(camera)
+    return _COARSE_PX if _SPREAD * wide_camera(camera, _COARSE_PX).fx / cells >= _FINE else WIDE_PX
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,14 +120,22 @@ class GlassView:
             row_starts, members = _members(boxes, rows)
             _draw_drops(
                 layer, glass.drops, boxes, outlines, row_starts, members, grid.view, grid.axes, source, levels, starts,
-                float(np.radians(glass.contact_angle_deg)),
+                *_cap(glass.contact_angle_deg),
             )  # fmt: skip
-        blurred = _linear_levels()[_shrunk(image)]
+        blurred = _shrunk(image)
+        pivot = pivot_px(pane, camera)
+        if glass.blade_rad is not None:
+            blurred = smeared(blurred, pivot, camera.fy, height / blurred.shape[0])
         _draw_veil(
             layer, grid.view, grid.axes, np.array(pane.low_m), glass.film_m, glass.film_cell_m, glass.dirt, dirt,
             -1.0 if glass.blade_rad is None else glass.blade_rad, blurred, np.array(cv2.mean(blurred)[:3]),
         )  # fmt: skip
-        return (_blurred(layer, grid.radii) if grid.radii.max() >= 0.5 else layer), grid.cell_px, grid.margin
+        layer = _blurred(layer, grid.radii) if grid.radii.max() >= 0.5 else layer
+        streaks = None if glass.blade_rad is None else lamp_streaks(image, pivot, camera.fy)
+        if streaks is not None:
+            share = _FILM_SHARE, _FILM_M
+            add_streaks(layer, streaks, grid.view, grid.axes, pane.low_m, glass.film_m, glass.film_cell_m, share)
+        return layer, grid.cell_px, grid.margin
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -196,7 +210,14 @@ def refracted(
     `ray` is a unit vector in air before the pane, with z > 0 outward. Returns the transmitted share of the light, and
     the direction behind; the share is -1 if the ray misses the drop.
     """
-    return _trace(*place, *ray, float(np.radians(contact_angle_deg)), 1.0, 0.0, 1.0)
+    return _trace(*place, *ray, *_cap(contact_angle_deg), 1.0, 0.0, 1.0)
+
+
+def _cap(contact_angle_deg: float) -> tuple[float, float]:
+    """Radius of the sphere of a cap, and depth of its center below the pane, for a footprint radius of 1."""
+    angle = np.radians(contact_angle_deg)
+    sphere = 1.0 / np.sin(angle)
+    return float(sphere), float(sphere * np.cos(angle))
 
 
 # Tables
@@ -209,15 +230,17 @@ def _linear_levels() -> Float32[np.ndarray, "256"]:
 
 @cache
 def _tone_table() -> UInt8[np.ndarray, " n"]:
-    return np.rint(255 * linear_to_srgb(np.arange(_TONES) / (_TONES - 1))).astype(np.uint8)
+    """Display levels of light 0..2 in steps of 1 / (`_TONES` - 1): what drops add may lead beyond white."""
+    light = np.minimum(np.arange(2 * _TONES) / (_TONES - 1), 1)
+    return np.rint(255 * linear_to_srgb(light)).astype(np.uint8)
 
 
-def _shrunk(image: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "r c 3"]:
-    """Twelfth of a picture: means of every fourth pixel in both directions."""
-    sparse = cv2.resize(image[2:, 2:], None, fx=0.25, fy=0.25, interpolation=cv2.INTER_NEAREST)
-    columns, rows = max(sparse.shape[1] // 3, 1), max(sparse.shape[0] // 3, 1)
-    shrunk = cv2.resize(sparse[: 3 * rows, : 3 * columns], (columns, rows), interpolation=cv2.INTER_AREA)
-    return np.asarray(shrunk, np.uint8)
+def _shrunk(image: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "r c 3"]:
+    """Linear light of a twelfth of a picture: mean display levels of every fourth pixel in both directions."""
+    rows, columns = (max(round((side - 2) / 4) // 3, 1) for side in image.shape[:2])
+    shrunk = np.empty((rows, columns, 3), np.float32)
+    _shrink(image, _linear_levels(), shrunk)
+    return shrunk
 
 
 def _pyramid(picture: UInt8[np.ndarray, "h w 3"]) -> tuple[Float32[np.ndarray, "texels 3"], Int64[np.ndarray, "n 3"]]:
@@ -236,6 +259,21 @@ def _pyramid(picture: UInt8[np.ndarray, "h w 3"]) -> tuple[Float32[np.ndarray, "
 # Kernels
 
 
+@numba.njit(parallel=True, cache=True, nogil=NOGIL)
+@no_type_check
+def _shrink(image, linear, shrunk):
+    for row in numba.prange(shrunk.shape[0]):
+        for column in range(shrunk.shape[1]):
+            red = green = blue = np.int64(0)
+            for k in range(9):
+                pixel = image[min(12 * row + 2 + k // 3 * 4, image.shape[0] - 1)]
+                at = min(12 * column + 2 + k % 3 * 4, image.shape[1] - 1)
+                red, green, blue = red + pixel[at, 0], green + pixel[at, 1], blue + pixel[at, 2]
+            shrunk[row, column, 0] = linear[(2 * red + 9) // 18]
+            shrunk[row, column, 1] = linear[(2 * green + 9) // 18]
+            shrunk[row, column, 2] = linear[(2 * blue + 9) // 18]
+
+
 @numba.njit(cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
 @no_type_check
 def _fresnel(cos_in, cos_out, ratio):
@@ -247,13 +285,11 @@ def _fresnel(cos_in, cos_out, ratio):
 
 @numba.njit(cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
 @no_type_check
-def _trace(x, y, dx, dy, dz, angle, cos_turn, sin_turn, stretch):
-    """Trace a ray through a spherical cap that is stretched along one axis and compressed along the other.
+def _trace(x, y, dx, dy, dz, sphere, depth, cos_turn, sin_turn, stretch):
+    """Trace a ray through a spherical cap (`_cap`) that is stretched along one axis and compressed along the other.
 
     Lengths are in footprint radii. Three reflections inside are followed, as long as they are total.
     """
-    sphere = 1.0 / np.sin(angle)
-    depth = sphere * np.cos(angle)  # of the sphere's center below the pane
     # Coordinates in which the cap is a sphere's: a = (cos x + sin y) / stretch, b = (cos y - sin x) stretch.
     a = (cos_turn * x + sin_turn * y) / stretch
     b = (cos_turn * y - sin_turn * x) * stretch
@@ -389,9 +425,10 @@ def _look_up(levels, starts, level, x, y, found):
 
 @numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
 @no_type_check
-def _draw_drops(layer, drops, boxes, outlines, row_starts, members, view, axes, source, levels, starts, angle):
+def _draw_drops(layer, drops, boxes, outlines, row_starts, members, view, axes, source, levels, starts, sphere, depth):
     fx, fy, cx, cy, cell, margin = view
     to_pane = axes[3, 0] * axes[2, 0] + axes[3, 1] * axes[2, 1] + axes[3, 2] * axes[2, 2]
+    most = 1.0 if cell == 1 else np.inf  # cells that are averaged may stand for more than their own area
     for row in numba.prange(layer.shape[0]):
         color = np.empty(3)
         y = ((row + 0.5 - margin) * cell - cy) / fy
@@ -419,6 +456,7 @@ def _draw_drops(layer, drops, boxes, outlines, row_starts, members, view, axes, 
                 share = 1.0
                 if cells < 1.0:  # smaller than a cell: its area, around its place
                     share = max(1.0 - abs(u) * cells, 0.0) * max(1.0 - abs(v) * cells, 0.0) * np.pi * cells * cells
+                    share = min(share, most)
                     shrink = 0.6 / max(distance, 0.6)
                     u, v = u * shrink, v * shrink
                 else:
@@ -430,7 +468,7 @@ def _draw_drops(layer, drops, boxes, outlines, row_starts, members, view, axes, 
                         share = min(inside, 1.0)
                 if share <= 0.0:
                     continue
-                weight, out_u, out_v, out_n = _trace(u, v, du, dv, dz, angle, cos_turn, sin_turn, stretch)
+                weight, out_u, out_v, out_n = _trace(u, v, du, dv, dz, sphere, depth, cos_turn, sin_turn, stretch)
                 if weight < 0.0:
                     continue
                 free = share * (1.0 - layer[row, column, 3])
@@ -518,13 +556,12 @@ def _draw_veil(layer, view, axes, low, film, film_cell, amount, dirt, blade, blu
             u, v, is_met = _place((column + 0.5 - margin) * step - first, y, plane)
             if not is_met:
                 continue
-            from_pivot = 0.0
-            if blade >= 0.0:
-                from_pivot = np.sqrt((u - PIVOT_M[0]) ** 2 + (v - PIVOT_M[1]) ** 2)
+            du, dv = u - PIVOT_M[0], v - PIVOT_M[1]
+            square = du * du + dv * dv
             dirty = 0.0
             if len(dirt) > 0:
                 dirty = amount * dirt[row, column]
-                if blade >= 0.0 and INNER_M <= from_pivot <= OUTER_M:
+                if blade >= 0.0 and INNER_M * INNER_M <= square <= OUTER_M * OUTER_M:
                     dirty *= _WIPED_SHARE
             film_x, film_y = (u - low[0]) * points_m, (v - low[1]) * points_m
             depth = 0.0
@@ -535,9 +572,8 @@ def _draw_veil(layer, view, axes, low, film, film_cell, amount, dirt, blade, blu
                 depth = (film[j, i] * (1 - right) + film[j, i + 1] * right) * (1 - above) + upper * above
             wet = _FILM_SHARE * (1.0 - np.exp(-depth / _FILM_M)) if depth > 0.0 else 0.0
             covered = 0.0
-            if blade >= 0.0 and from_pivot < OUTER_M:
-                half = 0.5 * (BLADE_M if from_pivot > INNER_M else _ARM_M)
-                du, dv = u - PIVOT_M[0], v - PIVOT_M[1]
+            if blade >= 0.0 and square < OUTER_M * OUTER_M:
+                half = 0.5 * (BLADE_M if square > INNER_M * INNER_M else _ARM_M)
                 if du * to_u + dv * to_v > 0.0:
                     off = abs(dv * to_u - du * to_v)
                     covered = min(max((half - off) / 0.001 + 0.5, 0.0), 1.0)
@@ -546,10 +582,10 @@ def _draw_veil(layer, view, axes, low, film, film_cell, amount, dirt, blade, blu
             # The film, and dirt in front of it, spread the light of what is around.
             i = min(max(int((column + 0.5 - margin) * across), 0), wide - 1)
             j = min(max(int((row + 0.5 - margin) * down), 0), tall - 1)
-            behind = (1.0 - layer[row, column, 3]) * covered
+            around = (1.0 - layer[row, column, 3]) * (1.0 - covered) * wet
             for channel in range(3):
-                light = layer[row, column, channel] + behind * _BLADE_LIGHT
-                around = (1.0 - layer[row, column, 3] - behind) * wet
+                # The blade is all that drops under it refract.
+                light = (1.0 - covered) * layer[row, column, channel] + covered * _BLADE_LIGHT
                 light += around * (0.7 * blurred[j, i, channel] + 0.3 * mean[channel])
                 layer[row, column, channel] = light * (1.0 - dirty) + dirty * mean[channel]
             clear = (1.0 - layer[row, column, 3]) * (1.0 - covered) * (1.0 - wet) * (1.0 - dirty)
@@ -610,7 +646,7 @@ def _add_chord(made, sums_to, to, right, sums_from, start, left, weight):
 @no_type_check
 def _composite(image, layer, cell, margin, linear, tones, made):
     """I (1 - c) + L, with the layer interpolated between the centers of its cells; cells have 1, 2, 4... pixels."""
-    height, width, top = image.shape[0], image.shape[1], np.float32(len(tones) - 1)
+    height, width, top = image.shape[0], image.shape[1], np.float32(_TONES - 1)
     half, step, one, last = np.float32(0.5), np.float32(1 / cell), np.uint32(1), 4 * layer.shape[1]
     nearest = np.float32(0.5 / cell if cell > 1 else 0.0)  # from a cell's center to the first pixel after it, in cells
     flat = layer.reshape(layer.shape[0], last)
@@ -620,7 +656,7 @@ def _composite(image, layer, cell, margin, linear, tones, made):
         below = place - np.float32(row)
         between, upper, lower = np.empty(last, np.float32), flat[row], flat[row + 1]
         for i in range(last):
-            between[i] = top * min(upper[i] + below * (lower[i] - upper[i]), np.float32(1))
+            between[i] = top * min(max(upper[i] + below * (lower[i] - upper[i]), np.float32(0)), np.float32(1))
         pixels, target = image[y].reshape(3 * width), made[y].reshape(3 * width)
         for column in range(margin - 1, layer.shape[1] - margin):
             # Pixels between the centers of two cells.
@@ -643,8 +679,8 @@ def _composite(image, layer, cell, margin, linear, tones, made):
             i = np.uint32(3 * start)
             for _ in range(end - start):
                 j, k = i + one, i + one + one
-                target[i] = tones[np.uint32(np.int32(min(linear[pixels[i]] * share + red, top)))]
-                target[j] = tones[np.uint32(np.int32(min(linear[pixels[j]] * share + green, top)))]
-                target[k] = tones[np.uint32(np.int32(min(linear[pixels[k]] * share + blue, top)))]
+                target[i] = tones[np.uint32(np.int32(linear[pixels[i]] * share + red))]
+                target[j] = tones[np.uint32(np.int32(linear[pixels[j]] * share + green))]
+                target[k] = tones[np.uint32(np.int32(linear[pixels[k]] * share + blue))]
                 red, green, blue, share = red + more_red, green + more_green, blue + more_blue, share + more
                 i = k + one

@@ -157,6 +157,27 @@ def test_lamps_have_long_reflections_under_their_mirror_image():
     assert 0 < dimmed[..., 1].max() < 0.5 * standing.max()  # about 20 m through the medium
 
 
+def test_what_stands_before_a_lamp_hides_its_reflections():
+    view = camera(384, 240)
+    first, last = rows_of_ground(view)
+    lamps = lit_lamps([(Lamp(position=(30.0, 0.0, 5.0), intensity_m2=100.0), np.eye(4))])
+    image, depth = np.zeros((last - first, 192, 3), np.float32), np.zeros((last - first, 192), np.float32)
+    _, y, z = (view.world_to_camera @ np.array([30.0, 0.0, -5.0, 1.0]))[:3]
+    row = int(SCALES[1] * (view.fy * y / z + view.cy)) - first
+
+    def light_behind(columns, depth_m):
+        wall = depth.copy()
+        wall[::-1][row - 8 : row + 4, columns] = depth_m  # as drawn: the first row is on top
+        return make_mirror(image, wall, view, 0.0, 1.0, lamps=lamps).light[row - 1 : row + 2, :, 1, 0]
+
+    free = light_behind(slice(0, 0), 12.0)
+    assert free.max() > 0 and light_behind(slice(80, 112), 12.0).max() == 0
+    assert np.array_equal(light_behind(slice(130, 192), 12.0), free)  # next to it
+    assert np.array_equal(light_behind(slice(80, 112), 60.0), free)  # behind it
+    half = light_behind(slice(96, 192), 12.0)
+    assert 0 < half.sum() < free.sum()
+
+
 def test_all_reflections_of_a_lamp_are_as_bright_as_its_mirror_image():
     eye = np.array([0.0, 0.0, 4.0])
     view = Camera.from_fov(400, 400, 60.0, look_at(eye, np.array([4.0, 0.0, 0.0]), UP))

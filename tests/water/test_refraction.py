@@ -1,5 +1,7 @@
 """Optics of a wet pane: refraction in a drop, blur by the lens, veil and blade, and the optics of a camera."""
 
+from dataclasses import replace
+
 import msgspec
 import numpy as np
 import pytest
@@ -17,6 +19,7 @@ from gsrain_engine.scene.sensor import PINHOLE, ThinLens
 from gsrain_engine.water.glass_drops import RADIUS, SHAPE
 from gsrain_engine.water.pane import pane_of
 from gsrain_engine.water.refraction import WATER_INDEX, GlassView, WetGlass, refracted, wide_camera
+from gsrain_engine.water.wiper_glare import pivot_px
 from small_scene import small_scene
 
 SKY, ROAD = 230, 60
@@ -125,6 +128,19 @@ def test_an_open_lens_spreads_a_drop_over_its_circle_of_confusion_and_keeps_its_
     assert abs(len(rows) * wide_cell - circle_px) <= 3 * wide_cell and margin * wide_cell > circle_px / 2
 
 
+def test_drops_as_small_as_a_pixel_cover_no_more_than_it():
+    """A sharp layer with a coverage beyond 1, and light below 0, once led outside of the table of tones."""
+    camera = camera_of()
+    pixel_m = 0.02 / camera.fx
+    middles = pixel_m * (np.arange(-8, 9, 2) + 0.5)
+    places = [(u, v) for u in middles for v in middles]
+    drops = [(u, v, size * pixel_m) for u, v in places for size in (0.7, 0.9, 0.8)]
+    view = GlassView(glass_with(camera, drops=drops), camera, PINHOLE, horizon(wide_camera(camera)))
+    layer, cell, _ = view.layer(horizon(camera))
+    assert cell == 1 and layer[..., 3].max() > 0.9
+    assert layer.min() >= 0 and layer.max() <= 1 + 1e-6
+
+
 def test_a_dry_clean_pane_changes_nothing_and_dirt_spreads_light():
     camera = camera_of()
     clear = horizon(camera)
@@ -141,6 +157,27 @@ def test_the_film_blurs_and_the_blade_hides():
     assert wet[edge, 120, 0] > ROAD + 10 and wet[edge - 1, 120, 0] < SKY - 10
     blade = through(glass_with(camera, kind="windshield", blade=np.radians(76.0)), camera)
     assert (blade.max(axis=2) < 40).any() and (blade == horizon(camera)).all(axis=2).mean() > 0.4
+
+
+def test_film_of_a_wiper_draws_lamps_into_streaks_towards_its_pivot():
+    camera = camera_of()
+    night = np.full((camera.height, camera.width, 3), 8, np.uint8)
+    night[40:46, 150:156] = 255, 60, 40  # a red lamp
+    wide = np.full((80, 120, 3), 8, np.uint8)
+    film = np.full((400, 400), 5e-6, np.float32)
+    pane = pane_of("windshield", camera)
+    glass = glass_with(camera, kind="windshield", film=film, blade=np.radians(2.0))
+    wet = GlassView(glass, camera, PINHOLE, wide).picture(night).astype(int)
+    x, y, z = pivot_px(pane, camera)
+    along = np.array([153.0 - x / z, 43.0 - y / z])
+    along /= np.hypot(*along)
+    at, off = (np.rint([43, 153] + 20 * np.array(each)).astype(int) for each in (along[::-1], (-along[0], along[1])))
+    red = [int(wet[*place, 0]) for place in (at, 2 * np.array([43, 153]) - at, off)]
+    assert min(red[:2]) > red[2] + 20 and wet[*at, 0] > wet[*at, 1] + 20
+    dry = GlassView(replace(glass, film_m=0 * film), camera, PINHOLE, wide).picture(night).astype(int)
+    assert wet[*off, 0] < dry[*at, 0] < wet[*at, 0]
+    unwiped = GlassView(replace(glass, blade_rad=None, film_m=0 * film), camera, PINHOLE, wide).picture(night)
+    assert np.array_equal(unwiped, night)
 
 
 # A camera

@@ -59,10 +59,25 @@ def test_the_slope_spectrum_peaks_at_0_2_per_mm_and_falls_on_both_sides():
     assert peak == pytest.approx(200.0, rel=0.05)
     half = np.interp([100.0, 400.0], WAVENUMBERS_PER_M, spectrum) / spectrum.max()
     np.testing.assert_allclose(half, np.exp(-0.5 * (np.log(2) / 0.42) ** 2), rtol=0.02)
-    # Bliven et al. 1997: a log-normal over f with its peak at 5.8 Hz for heights, that is k^-2 of slopes over ln k.
+
+
+def test_heights_over_frequency_are_those_of_rain_in_tanks_and_at_sea():
     f = angular_frequency(WAVENUMBERS_PER_M, 1.0) / (2 * np.pi)
-    heights = spectrum / WAVENUMBERS_PER_M**2 / np.gradient(f, WAVENUMBERS_PER_M)
-    assert 4.5 < f[np.argmax(heights)] < 7.5
+    heights = slope_spectrum(1.0, 1.0) / WAVENUMBERS_PER_M**2 / np.gradient(f, WAVENUMBERS_PER_M)
+    # Bliven et al. 1997: a log-normal over f with its peak at 5.8 Hz and 0.31.
+    assert f[np.argmax(heights)] == pytest.approx(5.8, rel=0.15)
+    shares = heights * np.gradient(f)
+    shares /= shares.sum()
+    spread = np.sqrt(shares @ np.log(f) ** 2 - (shares @ np.log(f)) ** 2)
+    assert spread == pytest.approx(0.31, rel=0.1)
+    # Braun et al. 2002: heavy rain adds to the spectrum above about 5 Hz, and takes from it below.
+    assert shares[f > 5].sum() > 0.85
+    # A radar of 3 GHz: the rings of 4 mm/h that it sees, 5 cm long or longer, live longer than 0.3 s (1998).
+    seen = np.array([2 * np.pi / 0.05])
+    assert (1 / damping_per_s(seen, 1.0))[0] > 0.3
+    # A second of decay takes nothing from the peak in deep water, and all of it in a film.
+    decayed = np.exp(-damping_per_s(np.array([200.0]), 1.0)), np.exp(-damping_per_s(np.array([200.0]), 5e-4))
+    assert decayed[0][0] > 0.9 > 0.1 > decayed[1][0]
 
 
 def test_energy_of_slopes_is_that_of_the_drops():

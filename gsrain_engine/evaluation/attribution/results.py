@@ -216,6 +216,7 @@ def share_figure(found: Sequence[Attribution]) -> UInt8[np.ndarray, "h w 3"]:
         panel.axhline(0.5 - len(names), color="0.75", lw=0.8)
         panel.set_xlabel(f"change of {measure.title}")
         panel.set_yticks([*places, 1 - rows], [*map(title_of, names), WHOLE])
+        panel.locator_params(axis="x", nbins=6)  # labels have room
         panel.grid(alpha=0.3, axis="x")
         panel.spines[["top", "right", "left"]].set_visible(False)
         panel.tick_params(axis="y", length=0)

@@ -157,7 +157,7 @@ def project_through_lens(
                 part = min(max(scan[0] * u + scan[1] * v + scan[2], -_MAX_PART), _MAX_PART)
                 for k in range(3):
                     eye[k] = eyes[0, k] + part * (eyes[1, k] + part * eyes[2, k])
-            if not (depth > 0 and color_of(means[i], sh[i], wet_sh, i, wetness, eye, change, basis, colors[n])):
+            if not (depth > 0 and color_of(means[i], sh, wet_sh, i, wetness, eye, change, basis, colors[n])):
                 for k in range(8):
                     shapes[n, k] = 0
                 for k in range(3):

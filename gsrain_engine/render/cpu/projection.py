@@ -203,23 +203,29 @@ def _project_range(
     as_points, antialiased, object_to_camera, eye, intrinsics, shapes, colors,
 ):  # fmt: skip
     """Fill shapes and colors of some Gaussians of one part; depth 0 marks those not to be drawn."""
-    basis = np.empty(16, np.float32)
+    basis, shape, color = np.empty(16, np.float32), np.empty(8, np.float32), np.empty(3, np.float32)
     for n in range(first, last):
         i = members[n]
         is_rain = len(rain) > 0 and rain[i]
+        # Numbers and arrays that stay the same: to count the references of a row costs as much as to project it.
+        mean = means[i, 0], means[i, 1], means[i, 2]
+        scale = scales[i, 0], scales[i, 1], scales[i, 2]
+        quaternion = quaternions[i, 0], quaternions[i, 1], quaternions[i, 2], quaternions[i, 3]
         depth = _shape(
-            means[i], scales[i], quaternions[i], opacity * opacities[i], is_rain, as_points, antialiased,
-            object_to_camera, intrinsics, shapes[n],
+            mean, scale, quaternion, opacity * opacities[i], is_rain, as_points, antialiased, object_to_camera,
+            intrinsics, shape,
         )  # fmt: skip
-        if not (depth > 0 and color_of(means[i], sh[i], wet_sh, i, wetness, eye, change, basis, colors[n])):
-            for k in range(8):
-                shapes[n, k] = 0
-            for k in range(3):
-                colors[n, k] = 0
+        if not (depth > 0 and color_of(mean, sh, wet_sh, i, wetness, eye, change, basis, color)):
+            shape[:] = 0
+            color[:] = 0
             depth = 0.0
         elif len(selected) > 0 and has_bit(selected, i):
             for k in range(3):
-                colors[n, k] += np.float32(TINT_SHARE) * (np.float32(TINT[k]) - colors[n, k])
+                color[k] += np.float32(TINT_SHARE) * (np.float32(TINT[k]) - color[k])
+        for k in range(8):
+            shapes[n, k] = shape[k]
+        for k in range(3):
+            colors[n, k] = color[k]
         colors[n, 3] = depth
 
 

@@ -207,17 +207,17 @@ def write_shape(u, v, xx, xy, yy, opacity, is_rain, as_point, antialiased, width
 def color_of(mean, sh, wet_sh, i, wetness, eye, change, basis, color):
     """Write the display color, max(0, change of (sum of harmonics + 0.5)); return whether it is finite.
 
-    If there are wet harmonics, their row i is blended in before the change.
+    Harmonics are those of row i. If there are wet ones, they are blended in before the change.
     """
     x, y, z = mean[0] - eye[0], mean[1] - eye[1], mean[2] - eye[2]
     by_length = 1 / np.sqrt(x * x + y * y + z * z)
-    coefficients = sh.shape[0]
+    coefficients = sh.shape[1]
     sh_basis(np.float32(x * by_length), np.float32(y * by_length), np.float32(z * by_length), coefficients, basis)
     red = green = blue = np.float32(0.5)
     for k in range(coefficients):
-        red += basis[k] * sh[k, 0]
-        green += basis[k] * sh[k, 1]
-        blue += basis[k] * sh[k, 2]
+        red += basis[k] * sh[i, k, 0]
+        green += basis[k] * sh[i, k, 1]
+        blue += basis[k] * sh[i, k, 2]
     if len(wet_sh) > 0:
         r = g = b = np.float32(0.5)
         for k in range(coefficients):
