@@ -17,8 +17,8 @@ from ...rain.frame import RainCamera
 from ...rain.settings import RainSettings
 from ...rain.simulation import OVERCAST, RainSimulation
 from ...render.camera_optics import CameraOptics
-from ...render.cpu.projection import FEW
 from ...render.cpu.renderer import CpuRenderer
+from ...render.cpu.splats import FEW
 from ...render.draw import RenderView, draw_view
 from ...render.opengl.shaders import load_program
 from ...render.renderer import RenderMode

@@ -15,6 +15,7 @@ from .lens_projection import RollingPose, lens_candidates, lens_view, project_th
 from .splats import (
     CHUNK,
     DILATION_PX2,
+    FEW,
     LOG_RAIN_CUT,
     NEAR_M,
     RAIN_ALPHA_CUT,
@@ -28,8 +29,6 @@ from .splats import (
     rotation_columns,
     write_shape,
 )
-
-FEW = 8192  # number of Gaussians below which a single thread is faster than starting others
 
 
 def project(

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float32, Int32, Int64
 
 from ...kernels import NOGIL
-from .fast_math import FAST, exponential
+from .fast_math import FAST, ROOT, exponential_of_root
 
 TILE = 16  # side of a tile in pixels: a column of it is one 512-bit or two 256-bit vectors of float32
 BATCH = 32  # splats gathered from memory before they are processed, so that their cache misses overlap
@@ -68,18 +68,32 @@ def _count(shapes, order, columns, rows, counts, boxes, masks):
     size = (len(order) + _CHUNKS - 1) // _CHUNKS
     for chunk in numba.prange(_CHUNKS):
         count = counts[chunk]
-        near_shapes = np.empty((BATCH, 8), np.float32)
+        # A line for each number of a batch's ellipses, so that LLVM vectorizes the loop over its splats, which has no
+        # branches; those of the loop over tiles are mispredicted too often for the processor to overlap divisions.
+        near, ellipses, near_boxes = np.ones((8, BATCH), np.float32), np.empty((8, BATCH)), np.empty((5, BATCH))
         for first in range(chunk * size, min(len(order), (chunk + 1) * size), BATCH):
             last = min(first + BATCH, len(order), (chunk + 1) * size)
             for k in range(first, last):
+                shape = shapes[order[k]]
                 for i in range(8):
-                    near_shapes[k - first, i] = shapes[order[k], i]
+                    near[i, k - first] = shape[i]
+            for j in range(BATCH):
+                ellipse = _ellipse(_column(near, j))
+                box = _box(ellipse, columns, rows)
+                x, y, reach_x, reach_y, shear, variance, depth, turn = ellipse
+                ellipses[0, j], ellipses[1, j], ellipses[2, j], ellipses[3, j] = x, y, reach_x, reach_y
+                ellipses[4, j], ellipses[5, j], ellipses[6, j], ellipses[7, j] = shear, variance, depth, turn
+                left, right, top, bottom, is_exact = box
+                near_boxes[0, j], near_boxes[1, j], near_boxes[2, j], near_boxes[3, j] = left, right, top, bottom
+                near_boxes[4, j] = 1.0 if is_exact else 0.0
             for k in range(first, last):
-                ellipse = _ellipse(near_shapes[k - first])
-                left, right, top, bottom, is_exact = _box(ellipse, columns, rows)
+                left, right = int(near_boxes[0, k - first]), int(near_boxes[1, k - first])
+                top, bottom = int(near_boxes[2, k - first]), int(near_boxes[3, k - first])
+                is_exact = near_boxes[4, k - first] > 0
                 boxes[k, 0], boxes[k, 1], boxes[k, 2], boxes[k, 3] = left, right, top, bottom
                 has_bits = (right - left) * (bottom - top) <= 64
                 bit, mask = 0, np.uint64(0)
+                ellipse = _column(ellipses, k - first)
                 for column in range(left, right):
                     highest, lowest = (top, bottom) if is_exact else _rows_of_column(ellipse, column, rows)
                     for row in range(highest, lowest):
@@ -120,6 +134,13 @@ def _write(shapes, order, columns, rows, boxes, masks, places, members):
 
 @numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
+def _column(lines, j):
+    """Column j of eight lines of numbers."""
+    return (lines[0, j], lines[1, j], lines[2, j], lines[3, j], lines[4, j], lines[5, j], lines[6, j], lines[7, j])
+
+
+@numba.njit(forceinline=True, error_model="numpy")
+@no_type_check
 def _ellipse(shape):
     """Ellipse at the alpha cut: center, reach in x and y, shear, and parameters of each column's extent; float64."""
     shear, cov_xx, variance = np.float64(shape[2]), -0.5 / np.float64(shape[3]), -0.5 / np.float64(shape[4])
@@ -141,9 +162,10 @@ def _box(ellipse, columns, rows):
     x, y, reach_x, reach_y = ellipse[:4]
     left, right = _tiles_between(x - reach_x, x + reach_x, columns)
     top, bottom = _tiles_between(y - reach_y, y + reach_y, rows)
-    in_column = x - reach_x >= left * TILE + 0.5 and x + reach_x <= (left + 1) * TILE - 0.5
-    in_row = y - reach_y >= top * TILE + 0.5 and y + reach_y <= (top + 1) * TILE - 0.5
-    return left, right, top, bottom, (right - left == 1 and in_column) or (bottom - top == 1 and in_row)
+    # By `&` and `|`, without branches.
+    in_column = (x - reach_x >= left * TILE + 0.5) & (x + reach_x <= (left + 1) * TILE - 0.5) & (right - left == 1)
+    in_row = (y - reach_y >= top * TILE + 0.5) & (y + reach_y <= (top + 1) * TILE - 0.5) & (bottom - top == 1)
+    return left, right, top, bottom, in_column | in_row
 
 
 @numba.njit(forceinline=True, error_model="numpy")
@@ -152,7 +174,7 @@ def _tiles_between(low, high, count):
     """First and past-the-last of `count` tiles with a pixel center in [low, high] px, clamped before it becomes int."""
     first = np.ceil((low - (TILE - 0.5) - _SLACK_PX) / TILE)
     last = np.floor((high - 0.5 + _SLACK_PX) / TILE)
-    return int(min(max(first, 0.0), count)), int(min(max(last + 1, 0.0), count))
+    return min(max(first, 0.0), np.float64(count)), min(max(last + 1, 0.0), np.float64(count))
 
 
 @numba.njit(forceinline=True, error_model="numpy")
@@ -166,7 +188,8 @@ def _rows_of_column(ellipse, column, rows):
     fall = depth / (reach * reach)
     bottom = y + shear * at_bottom + np.sqrt(2 * variance * max(depth - fall * at_bottom * at_bottom, 0.0))
     top = y + shear * at_top - np.sqrt(2 * variance * max(depth - fall * at_top * at_top, 0.0))
-    return _tiles_between(top, bottom, rows)
+    highest, lowest = _tiles_between(top, bottom, rows)
+    return int(highest), int(lowest)
 
 
 # Walk over tiles, splats and pixels
@@ -228,8 +251,10 @@ def walk_tiles(tiles, shapes, channels, lines, sums, enter, visit, leave, data):
 def walk_pixels(shape, x, y, state, lanes, visit, data):
     """Walk over the pixels of a tile in the columns that a splat reaches; `visit` as in `walk_column`."""
     left, right = columns_of(shape, x)
+    # Scalars, for LLVM would load an array's numbers again for each column: writing to the state might change them.
+    numbers = (shape[0], shape[1], shape[2], shape[3], shape[4], shape[5], shape[6])
     for u in range(left, right):
-        walk_column(shape, u, x, y, state[u], lanes, visit, data)
+        walk_column(numbers, u, x, y, state[u], lanes, visit, data)
 
 
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)
@@ -240,7 +265,7 @@ def walk_column(shape, u, x, y, line, lanes, visit, data):
     `visit` is called as visit(line, v, dx, dy, falloff, lanes, data) for each row v. (dx, dy) is the pixel's offset
     from the splat's center and line, the brackets in `Splats`; `log_alpha` takes both and `falloff`.
     """
-    real = shape.dtype.type
+    real = line.dtype.type
     falloff = shape[3], shape[4], shape[5], shape[6]
     dx = real(u) + (x - shape[0])
     start = y - (shape[1] + shape[2] * dx)
@@ -299,10 +324,13 @@ def log_alpha(dx, dy, falloff):
 def alpha_at(line, dx, dy, falloff):
     """Alpha of a fragment in the precision of `line`; 0 below the cut."""
     real = line.dtype.type
-    power = log_alpha(dx, dy, falloff)
-    alpha = exponential(power)
+    sharpness_x, sharpness_y, log_opacity, log_cut = falloff
+    # LLVM scales these once a splat, and exactly, by a power of two. Alphas of any number are below the cut.
+    share = real(1 / ROOT)
+    x = log_alpha(dx, dy, (sharpness_x * share, sharpness_y * share, log_opacity * share, log_cut * share))
+    alpha = exponential_of_root(x)
     alpha = alpha if alpha < real(MAX_ALPHA) else real(MAX_ALPHA)
-    return alpha if power >= falloff[3] else real(0)
+    return alpha if x >= log_cut * share else real(0)
 
 
 @numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from gsrain_engine.render.cpu.compositing import color_operator
 from gsrain_engine.render.cpu.fast_math import harmonics
 from gsrain_engine.render.cpu.projection import project, view_directions
+from gsrain_engine.render.cpu.splats import FEW, nearest_first
 from gsrain_engine.render.cpu.tiles import TILE, bin_into_tiles
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
 from gsrain_engine.scene.scene import DrawItem
@@ -74,6 +75,17 @@ def test_equal_depths_keep_their_index():
         gaussians = pair.take(np.array([first // 2, other // 2]))
         center = rasterize([DrawItem(gaussians, HERE)], camera).rgba[int(camera.cy), int(camera.cx)]
         assert center[first] > 0.8 > 0.2 > center[other]
+
+
+@pytest.mark.parametrize("farthest", [1.0, 3e38])
+def test_many_depths_are_sorted_stably_at_any_thread_count(farthest):
+    depths = np.random.default_rng(1).integers(0, 5000, 3 * FEW).astype(np.float32) / 5000 * np.float32(farthest)
+    drawn = np.flatnonzero(depths)
+    expected = drawn[np.argsort(depths[drawn], kind="stable")]
+    assert 2 * FEW < len(expected) < len(depths)
+    assert at_each_thread_count(lambda: nearest_first(depths).tobytes()) == {expected.astype(np.int32).tobytes()}
+    assert len(nearest_first(np.zeros(FEW, np.float32))) == 0
+    assert nearest_first(np.full(FEW, farthest, np.float32)).tolist() == list(range(FEW))
 
 
 def test_reference_harmonics_are_orthonormal_and_signed_as_in_3dgs():
