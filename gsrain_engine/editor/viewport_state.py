@@ -72,6 +72,8 @@ class ViewportState:
         self.backend = self.backend_reason = ""
         self.is_compiling = self.is_preparing = False
         """True if the viewport can't be drawn before kernels are compiled or loaded."""
+        self.kernels: int | None = None
+        """Number of kernels that are compiled so far while the renderer is prepared; None if it is unknown."""
         self.is_catching_up = False
         """True if the next frames continue unfinished work although nothing moves."""
         self.screenshot: Path | None = None
