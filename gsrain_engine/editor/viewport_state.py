@@ -150,7 +150,8 @@ class ViewportState:
             detail = FULL_QUALITY
         scale = detail.scale / self.options.shrink
         drawn_height = max(1, round(height * scale))
-        return self.shot(max(1, round(width * scale)), drawn_height, height / drawn_height), detail
+        focal_scale = detail.focal_share * height / drawn_height
+        return self.shot(max(1, round(width * scale)), drawn_height, focal_scale), detail
 
     def _observe(self, now: RenderView, content: Hashable, *, is_animated: bool, stands: bool) -> QualityLevel:
         before, at = self._last_view, time.perf_counter()
