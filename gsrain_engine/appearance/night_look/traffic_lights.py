@@ -15,7 +15,7 @@ from ..wet_look.gaussian_surfaces import GaussianSurfaces
 from ..wet_look.materials import lamp_share
 
 _NAMES = "traffic light", "traffic signal", "signal head"
-_LIT, _OPAQUE = 0.5, 0.3
+_LIT, _OPAQUE = 0.1, 0.3
 _GAP_M = 0.06  # between Gaussians of a lens; lenses of a head are 9 cm apart
 _LARGEST_M, _SMALLEST_M2 = 0.5, 0.003  # extent of a lens: larger ones are yellow housings; and its area
 _HEAD_M = 0.6  # distance from a lens to the other parts of its head
