@@ -31,6 +31,8 @@ _FOR_THREADS_S = 0.001  # sleep per frame while threads work: without it they ra
 _IDLE_FPS = 0.3  # A frame costs 80 ms in software rendering; events wake up the window immediately
 _WATCHING_FPS = 10.0  # frame rate for progress bars while workers run without user input
 _SOFTWARE_FPS = 33.0  # maximum frame rate of a software rasterizer: picture and jobs need the cores, too
+_DOUBLE_CLICK_S = 0.3
+_DOUBLE_CLICK_FRAMES = 4  # ImGui takes a press or a release in a frame, which can be long
 
 
 class Workspace:
@@ -109,11 +111,13 @@ class Workspace:
         """Advance time. Call it once per frame, before drawing."""
         editor, viewport, wet_look = self.editor, self.editor.viewport, self.editor.wet_look
         self._began_s = time.perf_counter()
+        io = imgui.get_io()
+        io.mouse_double_click_time = max(_DOUBLE_CLICK_S, _DOUBLE_CLICK_FRAMES * io.delta_time)
         front = self._settled_front or self._first_front
         self.folded.update({each.window_name for each in all_panels() if each.title in front})
         self._take_picture()
         self._remember_panels()
-        editor.tick(self._pace.step(imgui.get_io().delta_time))
+        editor.tick(self._pace.step(io.delta_time))
         if editor.is_working:
             time.sleep(_FOR_THREADS_S)
         viewport.job_previews = self._previews.update(editor.jobs.running)
