@@ -39,7 +39,7 @@ from ..wet_look.water_map import with_water
 from ..wet_look.wet_gaussians import changed_harmonics, row_of
 from .lamp_shadows import OpacityGrid
 from .lanterns import bulbs, default_lamps
-from .traffic_lights import LENS_LIGHT, Lens, is_traffic_light, lamps_of_lenses, lit_lenses
+from .traffic_lights import LENS_LIGHT, SignalLens, is_traffic_light, lamps_of_lenses, lit_lenses
 
 _NEUTRAL = WetSettings(sun_removal=1.0, coolness=0.0)
 """Clouds of neutral color, in whose light a color is the reflectance but for a factor."""
@@ -234,7 +234,7 @@ class _Night:
     grid: OpacityGrid
     lamps: tuple[Lamp, ...]
     """Those mounted on the scene."""
-    lenses: dict[str, list[Lens]]
+    lenses: dict[str, list[SignalLens]]
     """Lit lenses of members by key."""
     eyes: Float64[np.ndarray, "e 3"]
     middle: Float64[np.ndarray, "3"]
@@ -246,7 +246,7 @@ class _Night:
         surfaces: SceneSurfaces,
         core: SceneCore,
         lamps: Sequence[Lamp],
-        lenses: dict[str, list[Lens]],
+        lenses: dict[str, list[SignalLens]],
     ) -> "_Night":
         relative = {key: reflectances(own, surfaces.light) for key, own in surfaces.members.items()}
         return cls(

@@ -24,7 +24,7 @@ LENS_LIGHT = 6.0
 """Light of a lens by night, linear, relative to white."""
 
 
-class Lens(NamedTuple):
+class SignalLens(NamedTuple):
     """A lit lens."""
 
     rows: Int64[np.ndarray, " m"]
@@ -43,7 +43,7 @@ def is_traffic_light(member: Layer | Actor) -> bool:
     return any(each in name for each in _NAMES)
 
 
-def lit_lenses(scene: Scene, member: Layer | Actor, own: GaussianSurfaces) -> list[Lens]:
+def lit_lenses(scene: Scene, member: Layer | Actor, own: GaussianSurfaces) -> list[SignalLens]:
     """Find the lit lenses of traffic lights by day: small clusters of bright and colorful Gaussians."""
     light = srgb_to_linear(own.color.astype(np.float64))
     lit = lamp_share(light.astype(np.float32), np.zeros_like, np.zeros(len(light), np.float32))
@@ -53,7 +53,7 @@ def lit_lenses(scene: Scene, member: Layer | Actor, own: GaussianSurfaces) -> li
     to_world = scene.scene_to_world @ member.to_scene if isinstance(member, Layer) else np.eye(4)
     turn = to_world[:3, :3] / np.cbrt(np.linalg.det(to_world[:3, :3]))
     g, every = member.gaussians, scipy.spatial.cKDTree(np.nan_to_num(own.points))
-    found: list[Lens] = []
+    found: list[SignalLens] = []
     for rows in _clusters(own.points[bright].astype(np.float64)):
         rows, points = bright[rows], own.points[bright[rows]].astype(np.float64)
         area = own.area_m2[rows] * own.opacities[rows]
@@ -70,7 +70,7 @@ def lit_lenses(scene: Scene, member: Layer | Actor, own: GaussianSurfaces) -> li
             normal *= -1.0 if np.average((own.points[head] - place) @ normal, weights=weights) > 0 else 1.0
         hue = np.average(light[rows], axis=0, weights=area)
         hue -= hue.min()  # the light of the sky on it
-        found.append(Lens(rows, place, normal, hue / hue.max()))
+        found.append(SignalLens(rows, place, normal, hue / hue.max()))
     return found
 
 
@@ -83,7 +83,7 @@ def _clusters(points: Float64[np.ndarray, "n 3"]) -> list[Int64[np.ndarray, " m"
     return np.split(order, np.searchsorted(labels[order], np.arange(1, count)))
 
 
-def lamps_of_lenses(scene: Scene, lenses: Iterable[tuple[Layer | Actor, list[Lens]]]) -> tuple[Lamp, ...]:
+def lamps_of_lenses(scene: Scene, lenses: Iterable[tuple[Layer | Actor, list[SignalLens]]]) -> tuple[Lamp, ...]:
     """Lamps of the lit lenses of each member, mounted on the scene or on their actor."""
     found: list[Lamp] = []
     to_scene = np.linalg.inv(scene.scene_to_world)
