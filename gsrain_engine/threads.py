@@ -6,8 +6,6 @@ import threading
 from collections.abc import Generator
 from contextlib import contextmanager
 
-import numba
-
 _VARIABLES = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Environment variables with the number of threads of Numba, OpenMP (torch), OpenBLAS (NumPy) and MKL (torch)."""
 
@@ -40,6 +38,8 @@ def half_of_cores() -> Generator[None]:
 
     With more threads than free cores each kernel waits for the thread that is served last.
     """
+    import numba  # processes that only start workers, and workers without kernels, take half the time to start
+
     before = numba.get_num_threads()
     numba.set_num_threads(max(min(usable_cores() // 2, before), 1))
     try:

@@ -2,9 +2,11 @@
 
 import ast
 import re
+from collections import defaultdict
 from collections.abc import Iterator
 from functools import cache
 from graphlib import TopologicalSorter
+from itertools import chain
 from pathlib import Path
 
 import pytest
@@ -25,23 +27,30 @@ def modules() -> dict[str, Path]:
 
 
 @cache
-def nodes_of(path: Path) -> tuple[ast.AST, ...]:
+def nodes_by_kind(path: Path) -> dict[type[ast.AST], list[ast.AST]]:
     """All nodes of a file, which several tests look at."""
-    return tuple(ast.walk(ast.parse(path.read_bytes())))
+    found = defaultdict[type[ast.AST], list[ast.AST]](list)
+    for node in ast.walk(ast.parse(path.read_bytes())):
+        found[type(node)].append(node)
+    return found
+
+
+def nodes_of(path: Path, *kinds: type[ast.AST]) -> Iterator[ast.AST]:
+    return chain.from_iterable(nodes_by_kind(path).get(kind, ()) for kind in kinds)
 
 
 @pytest.fixture(scope="module", autouse=True)
 def _only_here():
     yield
-    nodes_of.cache_clear()
+    nodes_by_kind.cache_clear()
 
 
 def imported(module: str, path: Path, known: dict[str, Path]) -> Iterator[str]:
     """Every import of ours: those in functions and those that only type checkers follow too."""
-    for node in nodes_of(path):
+    for node in nodes_of(path, ast.Import, ast.ImportFrom):
         if isinstance(node, ast.Import):
             yield from (each.name for each in node.names if each.name in known)
-        elif isinstance(node, ast.ImportFrom):
+        else:
             package = module.split(".") if path.name == "__init__.py" else module.split(".")[:-1]
             base = package[: len(package) + 1 - node.level] if node.level else []
             base = ".".join([*base, *([node.module] if node.module else [])])
@@ -69,18 +78,19 @@ def test_no_file_is_long_without_a_reason():
 
 def printers(path: Path) -> Iterator[str]:
     """Everything in a file that prints without `app.console`: rich, the built-in print, the standard streams."""
-    nodes = nodes_of(path)
-    own = {each.asname or each.name for node in nodes if isinstance(node, ast.ImportFrom)
+    own = {each.asname or each.name for node in nodes_of(path, ast.ImportFrom)
            for each in node.names if (node.module or "").split(".")[-1] == "console" and node.level}  # fmt: skip
-    for node in nodes:
-        if isinstance(node, ast.Import):
-            yield from (each.name for each in node.names if each.name.split(".")[0] == "rich")
-        elif isinstance(node, ast.ImportFrom) and not node.level and (node.module or "").split(".")[0] == "rich":
+    for node in nodes_of(path, ast.Import):
+        yield from (each.name for each in node.names if each.name.split(".")[0] == "rich")
+    for node in nodes_of(path, ast.ImportFrom):
+        if not node.level and (node.module or "").split(".")[0] == "rich":
             yield str(node.module)
-        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "print":
+    for node in nodes_of(path, ast.Call):
+        if isinstance(node.func, ast.Name) and node.func.id == "print":
             yield from () if "print" in own else ("print",)
-        elif isinstance(node, ast.Call) and ast.unparse(node.func).startswith(("sys.stdout.write", "sys.stderr.write")):
-            yield ast.unparse(node.func)
+        elif isinstance(node.func, ast.Attribute) and node.func.attr.startswith("write"):
+            name = ast.unparse(node.func)
+            yield from (name,) if name.startswith(("sys.stdout.", "sys.stderr.")) else ()
 
 
 def test_only_the_console_prints():
@@ -98,28 +108,25 @@ BANNED = (
 FIELD_TERMS = ("least_squares", "right_of_way")
 
 
-def definitions() -> Iterator[tuple[str, ast.ClassDef | ast.FunctionDef]]:
-    for module, path in modules().items():
-        for node in nodes_of(path):
-            if isinstance(node, ast.ClassDef | ast.FunctionDef):
-                yield module, node
+def definitions(*kinds: type[ast.AST]) -> Iterator[tuple[str, ast.AST]]:
+    return ((module, node) for module, path in modules().items() for node in nodes_of(path, *kinds))
 
 
 def test_no_class_name_stands_for_two_classes():
     places: dict[str, set[str]] = {}
-    for module, node in definitions():
-        if isinstance(node, ast.ClassDef):
-            places.setdefault(node.name, set()).add(f"{module}:{node.lineno}")
+    for module, node in definitions(ast.ClassDef):
+        places.setdefault(node.name, set()).add(f"{module}:{node.lineno}")
     del places["Renderer"], places["CameraPath"]  # `gsrain` has its own, over those of the engine
     assert {name: each for name, each in places.items() if len(each) > 1} == {}
 
 
 def test_names_have_no_banned_words():
-    for module, node in definitions():
+    banned = re.compile(rf"_({'|'.join(BANNED)})_")
+    for module, node in definitions(ast.ClassDef, ast.FunctionDef):
         words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", node.name).lower()
         for term in FIELD_TERMS:
             words = words.replace(term, "")
-        assert not [each for each in BANNED if f"_{each}_" in f"_{words}_"], f"{module}: {node.name}"
+        assert not banned.search(f"_{words}_"), f"{module}: {node.name}"
 
 
 def test_no_package_is_smaller_than_three_modules():

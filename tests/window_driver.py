@@ -37,7 +37,7 @@ class Driver:
         self.ctx = None
         self.actions = 0
         """Clicks, drags, keys and typed values up to now."""
-        self._is_seen = False
+        self._is_seen = self._is_over = False
 
     def run(self, script):
         self.editor.preferences.value = replace(
@@ -47,7 +47,7 @@ class Driver:
         parameters.ini_disable = True
         parameters.app_window_params.window_geometry.size = self.size_px
         parameters.dpi_aware_params.dpi_window_size_factor = self.dpi_scale
-        parameters.callbacks.before_imgui_render = self._paint_less
+        parameters.callbacks.before_imgui_render = self._before_painting
 
         def act(ctx):
             self.ctx = ctx
@@ -60,7 +60,7 @@ class Driver:
             try:
                 script()
             finally:
-                parameters.fps_idling.enable_idling = False  # a window at rest would close seconds later
+                self._is_over = True
 
         try:
             testing.run(test_function=act, runner_params=parameters)
@@ -108,7 +108,9 @@ class Driver:
         raise AssertionError("waited in vain")
 
     def let_workers_work(self):
-        """Draw no frames that would only take the processor from a worker which has nothing to say yet."""
+        """Draw no frames that would only take the processor from a picture or a worker with nothing to say yet."""
+        if self.window.workspace is not None:
+            self.pictures.wait(0.1)
         self.editor.jobs.wait(0.1)
 
     @contextmanager
@@ -250,8 +252,10 @@ class Driver:
         width, height = (round(side * self.dpi_scale) for side in self.size_px)
         return np.asarray(ImageGrab.grab(xdisplay=None).convert("RGB")).astype(int)[:height, :width]
 
-    def _paint_less(self):
+    def _before_painting(self):
         """Shrink what is painted, while nobody looks: the processor paints it, which takes most of a frame's time."""
+        if self._is_over:  # a window at rest would close seconds later
+            hello_imgui.get_runner_params().fps_idling.enable_idling = False
         if not self._is_seen:
             scale = imgui.ImVec2(1 / 16, 1 / 16)
             imgui.get_io().display_framebuffer_scale = imgui.get_main_viewport().framebuffer_scale = scale

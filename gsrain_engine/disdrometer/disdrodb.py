@@ -9,8 +9,7 @@ import xarray as xr
 from jaxtyping import Float64, Int64
 
 from ..safe_io.text_files import printable_line
-from . import two_dvd
-from .instruments import PARSIVEL, THIES, Instrument
+from .instruments import JOSS_WALDVOGEL, JOSS_WALDVOGEL_AREA_M2, PARSIVEL, THIES, Instrument
 from .netcdf import in_m_s, in_mm, usable_records
 from .spectra import DisdrometerFileError, DisdrometerReading
 
@@ -24,7 +23,7 @@ _LARGEST_MM, _FASTEST_M_S = 50.0, 50.0
 _MAKERS = {"PARSIVEL": PARSIVEL, "PARSIVEL2": PARSIVEL, "LPM": THIES, "LPM_V0": THIES}
 
 _OTHERS = {
-    "RD80": (two_dvd.NAME, two_dvd.AREA_M2),
+    "RD80": (JOSS_WALDVOGEL, JOSS_WALDVOGEL_AREA_M2),
     "PWS100": ("Campbell PWS100", 0.004),
     "ODM470": ("Eigenbrodt ODM470", 0.00264),
     "SWS250": ("Biral SWS250", 0.006504),

@@ -8,6 +8,11 @@ import math
 import subprocess
 import sys
 
+HDF5 = b"\x89HDF\r\n\x1a\n"
+"""First bytes of a file."""
+NETCDF_CLASSIC = b"CDF\x01", b"CDF\x02"
+"""First bytes of the older kind of NetCDF, which needs no trial."""
+
 LARGEST_DATASET = 2 * 2**30
 """Maximum bytes of all variables after decompression."""
 

@@ -119,3 +119,13 @@ THIES = Instrument(
 The last diameter class is open, from 8 mm; it gets the width of the one before. The last speed class ends at 20 m/s,
 beyond which the instrument counts no particle.
 """
+
+JOSS_WALDVOGEL = "Joss-Waldvogel"
+JOSS_WALDVOGEL_AREA_M2 = 0.005
+"""Area of the cone, 50 cm^2 (Joss and Waldvogel 1967)."""
+
+RD80_EDGES_MM = np.array(
+    [0.313, 0.405, 0.505, 0.596, 0.715, 0.827, 0.999, 1.232, 1.429, 1.582, 1.748]
+    + [2.077, 2.441, 2.727, 3.011, 3.385, 3.704, 4.127, 4.573, 5.145, 5.6]
+)
+"""Bounds of the classes of a Joss-Waldvogel RD-80 (Distromet's instructions); the last is open and is closed here."""

@@ -3,18 +3,12 @@
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from io import BytesIO
 from pathlib import Path
-
-import h5py
-import xarray as xr
 
 from ..plugins import DISDROMETERS, ExtensionError, load_extensions
 from ..safe_io.limits import TooLargeError, kind_of_bytes, read_file
-from .disdrodb import is_disdrodb, read_disdrodb
-from .hdf5_trial import LARGEST_DATASET, passes_trial
+from .hdf5_trial import HDF5, NETCDF_CLASSIC
 from .instruments import CLASSES
-from .netcdf import is_gsrain_spectra, read_gsrain_spectra, read_instrument_spectra, with_whole_records
 from .parsivel import (
     is_parsivel_asdo,
     is_parsivel_log,
@@ -34,14 +28,6 @@ from .tables import (
     read_table,
 )
 from .thies import is_thies, read_thies
-from .two_dvd import (
-    is_joss_waldvogel,
-    is_two_dvd,
-    is_two_dvd_minutes,
-    read_joss_waldvogel,
-    read_two_dvd,
-    read_two_dvd_minutes,
-)
 
 _TEXTS = (
     (is_parsivel_log, read_parsivel_log),
@@ -68,6 +54,8 @@ def read_disdrometer(path: Path, columns: TableColumns | None = None) -> Disdrom
     if is_netcdf(contents.data):
         if contents.cut_off:
             raise DisdrometerFileError(path, "the gzip stream ends too early: the NetCDF file in it is cut off")
+        from .open_netcdf import read_netcdf  # loads slowly
+
         return read_netcdf(path, contents.data)
     if not contents.is_text:
         raise _unknown_kind(contents, "neither text nor NetCDF")
@@ -170,6 +158,11 @@ def read_contents(path: Path) -> FileContents:
     return FileContents(path, data, cut_off)
 
 
+def is_netcdf(data: bytes) -> bool:
+    """Return whether the data begins like NetCDF, classic or HDF5."""
+    return data.startswith((*NETCDF_CLASSIC, HDF5))
+
+
 def _too_large(path: Path) -> DisdrometerFileError:
     return DisdrometerFileError(path, f"the file holds more than {LARGEST_FILE // 2**20} MiB: split it by days")
 
@@ -194,86 +187,6 @@ def _inflate(path: Path, data: bytes) -> tuple[bytes, bool]:
             break
         data = member.unused_data
     return b"".join(parts), False
-
-
-# NetCDF
-
-_DATASETS = (
-    (is_gsrain_spectra, read_gsrain_spectra),
-    (is_two_dvd, read_two_dvd),
-    (is_two_dvd_minutes, read_two_dvd_minutes),
-    (is_disdrodb, read_disdrodb),
-    (is_joss_waldvogel, read_joss_waldvogel),
-)
-_CLASSIC = (b"CDF\x01", b"CDF\x02")
-_HDF5 = b"\x89HDF\r\n\x1a\n"
-
-
-def is_netcdf(data: bytes) -> bool:
-    """Return whether the data begins like NetCDF, classic or HDF5."""
-    return data.startswith((*_CLASSIC, _HDF5))
-
-
-def read_netcdf(path: Path, data: bytes) -> DisdrometerReading:
-    """Read single drops (2DVD), drops by diameter (Joss-Waldvogel), or spectra of diameter and fall speed.
-
-    A truncated classic file gives its complete records. Raises `DisdrometerFileError` if the file is damaged, larger
-    than memory allows, or holds none of these.
-    """
-    lost = ""
-    if data.startswith(_CLASSIC):
-        try:
-            data, whole, expected = with_whole_records(data)
-        except ValueError as error:
-            raise _damaged(path, error) from None
-        if whole < expected:
-            lost = f"record {whole + 1}: the file ends in it, and {expected - whole - 1} more are missing"
-            if whole == 0:
-                raise DisdrometerFileError(path, f"no record can be used: {lost}")
-    dataset = _opened(path, data)
-    read = next((read for recognizes, read in _DATASETS if recognizes(dataset)), read_instrument_spectra)
-    reading = read(path, dataset)
-    return replace(reading, skipped=(*reading.skipped, lost)) if lost else reading
-
-
-def _opened(path: Path, data: bytes) -> xr.Dataset:
-    try:
-        engine = "scipy"
-        if data.startswith(_HDF5):
-            engine = "h5netcdf"
-            if not passes_trial(data):
-                raise DisdrometerFileError(path, "the NetCDF file is damaged: HDF5's library does not come to its end")
-            _check_size(path, _unpacked_bytes(data))
-        with xr.open_dataset(BytesIO(data), engine=engine, decode_timedelta=False) as dataset:
-            _check_size(path, dataset.nbytes)
-            return dataset.load()
-    except DisdrometerFileError:
-        raise
-    except Exception as error:  # the libraries raise nearly any exception on a damaged file
-        raise _damaged(path, error) from None
-
-
-def _unpacked_bytes(data: bytes) -> int:
-    """Decompressed bytes of all variables of an HDF5 file, without decompressing any."""
-    sizes: list[int] = []
-
-    def note(_: str, item: object) -> None:
-        if isinstance(item, h5py.Dataset):
-            sizes.append(item.nbytes)
-
-    with h5py.File(BytesIO(data), "r") as file:
-        file.visititems(note)
-    return sum(sizes)
-
-
-def _check_size(path: Path, size: int) -> None:
-    if size > LARGEST_DATASET:
-        raise DisdrometerFileError(path, f"it holds more than {LARGEST_DATASET // 2**20} MiB: split it by days")
-
-
-def _damaged(path: Path, error: Exception) -> DisdrometerFileError:
-    reason = str(error).strip().split("\n")[0] or type(error).__name__
-    return DisdrometerFileError(path, f"the NetCDF file is damaged or cut off ({reason})")
 
 
 # Text formats from installed packages

@@ -18,8 +18,15 @@ from msgspec import Meta
 from ..rain.calibration import atlas_velocity
 from ..safe_io.errors import convert_checked
 from ..safe_io.text_files import printable_line, read_whole, yaml_values
-from . import two_dvd
-from .instruments import PARSIVEL, THIES, Instrument, Order
+from .instruments import (
+    JOSS_WALDVOGEL,
+    JOSS_WALDVOGEL_AREA_M2,
+    PARSIVEL,
+    RD80_EDGES_MM,
+    THIES,
+    Instrument,
+    Order,
+)
 from .spectra import (
     LONGEST_RECORD_S,
     DisdrometerFileError,
@@ -143,7 +150,7 @@ _CAMPBELL_WORDS = ('"TOA5"', '"TIMESTAMP"', '"TS"', '"",', "TOA5,", "TIMESTAMP,"
 """First words of the lines of a Campbell logger's header: type, columns, units, sampling."""
 
 _WITHOUT_SPEED = {
-    two_dvd.NAME: (two_dvd.RD80_EDGES_MM, two_dvd.AREA_M2),
+    JOSS_WALDVOGEL: (RD80_EDGES_MM, JOSS_WALDVOGEL_AREA_M2),
     "2DVD": (TWO_DVD_EDGES_MM, TWO_DVD_AREA_M2),
 }
 
@@ -334,7 +341,7 @@ def _described(names: Sequence[str], separator: str, header_line: int) -> TableC
         rate=None if rate is None else names.index(rate) + 1,
         separator=separator,
         # An RD-80's program follows the country's settings: with tab separators, commas are decimal.
-        decimal="," if separator == "\t" and instrument == two_dvd.NAME else ".",
+        decimal="," if separator == "\t" and instrument == JOSS_WALDVOGEL else ".",
         header_line=header_line,
         comments=_CAMPBELL_WORDS if names[0] == "timestamp" else (),
     )
@@ -359,8 +366,8 @@ def _drops_of(names: Sequence[str]) -> tuple[str, Column | ColumnRange] | None:
         count, drops = 1 + len(rest), ColumnRange(first=first + 1, last=first + 1 + len(rest))
         if count in sizes:
             return sizes[count], drops
-        if count == len(two_dvd.RD80_EDGES_MM) - 1 and stem == "n":
-            return two_dvd.NAME, drops
+        if count == len(RD80_EDGES_MM) - 1 and stem == "n":
+            return JOSS_WALDVOGEL, drops
     name = _named(names, _ALL_DROPS_NAMES)
     return None if name is None else (PARSIVEL.name, names.index(name) + 1)
 

@@ -6,6 +6,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float64, Shaped
 
+from .instruments import JOSS_WALDVOGEL, JOSS_WALDVOGEL_AREA_M2
 from .netcdf import in_mm, record_times, usable_records
 from .spectra import DisdrometerFileError, DisdrometerReading, DropSpectra, SingleDrops, no_record_left
 
@@ -119,16 +120,6 @@ def _usable(
 
 # Joss-Waldvogel impact disdrometer (JWD, RD-80)
 
-NAME = "Joss-Waldvogel"
-AREA_M2 = 0.005
-"""Area of the cone, 50 cm^2 (Joss and Waldvogel 1967)."""
-
-RD80_EDGES_MM = np.array(
-    [0.313, 0.405, 0.505, 0.596, 0.715, 0.827, 0.999, 1.232, 1.429, 1.582, 1.748]
-    + [2.077, 2.441, 2.727, 3.011, 3.385, 3.704, 4.127, 4.573, 5.145, 5.6]
-)
-"""Bounds of an RD-80's classes (Distromet's instructions); the last class is open and is closed here."""
-
 _LARGEST_MM = 20
 
 
@@ -147,4 +138,4 @@ def read_joss_waldvogel(path: Path, dataset: xr.Dataset) -> DisdrometerReading:
     if not (edges[0] >= 0 and edges[-1] < _LARGEST_MM and (np.diff(edges) > 0).all()):
         raise DisdrometerFileError(path, f"delta_diam: the diameter classes must rise within 0 to {_LARGEST_MM} mm")
     records = usable_records(path, dataset, dataset["num_drop"])
-    return records.by_diameter(NAME, edges, np.full(len(widths), AREA_M2))
+    return records.by_diameter(JOSS_WALDVOGEL, edges, np.full(len(widths), JOSS_WALDVOGEL_AREA_M2))

@@ -39,7 +39,9 @@ class GroundWater:
         """Shares of film and standing water, 0..1, at points of the ground (x and y in the world)."""
         shares = np.empty((len(points), 2), np.float32)
         x, y = self.corner_m
-        _look_up(points[:, 0], points[:, 1], np.float32(x), np.float32(y), np.float32(self.cell_m), self.cover, shares)
+        _look_up(
+            np.ascontiguousarray(points), np.float32(x), np.float32(y), np.float32(self.cell_m), self.cover, shares
+        )
         return shares
 
     def cells(
@@ -80,11 +82,11 @@ class GroundWater:
 
 @numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
-def _look_up(x, y, corner_x, corner_y, cell, cover, shares):
+def _look_up(points, corner_x, corner_y, cell, cover, shares):
     """As `GroundWater.cells` finds them, one by one."""
     rows, columns = cover.shape[:2]
-    for n in range(len(x)):
-        column, row = np.floor((x[n] - corner_x) / cell), np.floor((y[n] - corner_y) / cell)
+    for n in range(len(points)):
+        column, row = np.floor((points[n, 0] - corner_x) / cell), np.floor((points[n, 1] - corner_y) / cell)
         if column >= 0 and column < columns and row >= 0 and row < rows:
             for water in range(2):
                 shares[n, water] = np.float32(cover[int(row), int(column), water]) * np.float32(1 / 255)

@@ -52,7 +52,7 @@ def _sorted_along_curve(
     start = 0
     for end in ends:
         level = keys[start:end]
-        _to_morton_keys(gaussians.means, box.low, cells_a_unit, level)
+        _to_morton_keys(gaussians.means, np.ascontiguousarray(box.low), cells_a_unit, level)
         level.sort()
         start = end
     return keys.astype(np.uint32)  # the lower half: the index

@@ -96,7 +96,7 @@ raise SystemExit(run(["info", "street"]))
 
 
 SCIPY_PARTS = ("interpolate", "ndimage", "optimize", "spatial", "stats")
-SLOW = ("matplotlib", "onnxruntime", "torch", *(f"scipy.{part}" for part in SCIPY_PARTS))
+SLOW = ("matplotlib", "onnxruntime", "torch", "xarray", *(f"scipy.{part}" for part in SCIPY_PARTS))
 
 
 @pytest.mark.parametrize(

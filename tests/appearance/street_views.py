@@ -4,12 +4,11 @@ from functools import lru_cache
 
 import numpy as np
 
+from built_street import SHORT, surfaces_of
 from gsrain_engine.appearance.base import ClearView
 from gsrain_engine.datasets.street import capture_street
 from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.scene.street.layout import StreetParameters
 
-SMALL = StreetParameters(length_m=120.0, parked_share=0.3, tree_spacing_m=30.0)
 WIDTH, HEIGHT = 360, 240
 
 PLACES = {
@@ -25,7 +24,9 @@ PLACES = {
 def street_views() -> dict[str, ClearView]:
     """Three views on the way, 1 m apart, and one of another camera beside the second."""
     cameras = [street_camera(x, heading) for x, heading, _, _ in PLACES.values()]
-    capture = capture_street(cameras, [time_s for *_, time_s, _ in PLACES.values()], SMALL, names=list(PLACES))
+    capture = capture_street(
+        cameras, [time_s for *_, time_s, _ in PLACES.values()], surfaces_of(SHORT), names=list(PLACES)
+    )
     sensors = [sensor for *_, sensor in PLACES.values()]
     return {view.name: clear_view(view, sensor) for view, sensor in zip(capture, sensors, strict=True)}
 

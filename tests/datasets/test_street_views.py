@@ -3,21 +3,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from built_street import SHORT, street_of, surfaces_of
 from gsrain_engine.datasets.capture import CaptureFrame
 from gsrain_engine.datasets.street import StreetViews, capture_street
 from gsrain_engine.render.opengl.context import open_context
 from gsrain_engine.render.opengl.renderer import SplatRenderer
 from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.scene.street.build import StreetSurfaces, scene_of, street_surfaces
-from gsrain_engine.scene.street.layout import Label, StreetParameters
+from gsrain_engine.scene.street.build import StreetSurfaces
+from gsrain_engine.scene.street.layout import Label
 
 UP = np.array([0.0, 0.0, 1.0])
-SMALL = StreetParameters(length_m=120.0, parked_share=0.3, tree_spacing_m=30.0)
 
 
 @pytest.fixture(scope="module")
 def surfaces() -> StreetSurfaces:
-    return street_surfaces(SMALL)
+    return surfaces_of(SHORT)
 
 
 @pytest.fixture(scope="module")
@@ -89,10 +89,10 @@ def test_mask_leaves_out_the_lead_car(view: CaptureFrame, views: StreetViews, ah
     assert 0 < np.sum(~later.mask) < 0.2 * len(rows)
 
 
-def test_mesh_and_gaussians_show_the_same_street(view: CaptureFrame, surfaces: StreetSurfaces) -> None:
+def test_mesh_and_gaussians_show_the_same_street(view: CaptureFrame) -> None:
     with open_context() as context:
         renderer = SplatRenderer(context)
-        renderer.draw(scene_of(surfaces).parts(0.0), view.camera, with_depth=True)
+        renderer.draw(street_of(SHORT).parts(0.0), view.camera, with_depth=True)
         frame = renderer.read()
     psnr = 10 * np.log10(255**2 / np.mean((frame.to_uint8().astype(np.float64) - view.image) ** 2))
     solid = (view.depth > 0) & (view.depth < 60)

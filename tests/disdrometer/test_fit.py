@@ -164,9 +164,9 @@ def test_too_little_rain_and_other_classes_are_refused(change, names, rain):
         fit(change(light, heavy), resamples=0, half_width=0.3)
 
 
-@pytest.mark.parametrize("calibration", ["published", "locarno_2018", "marshall_palmer"])
+@pytest.mark.parametrize("calibration", ["locarno_2018", "marshall_palmer"])
 def test_the_virtual_disdrometer_closes_the_loop(calibration):
-    """Fits to its counts return the law that the drops were drawn from."""
+    """Fits to its counts return the law that the drops were drawn from; tests/rain has that of the published table."""
     intensities = (1.2, 8.5, 12.0)
     paper = msgspec.to_builtins(load_preset("paper")) | {"calibration": calibration, "closure": "density"}
     rains = [msgspec.convert(paper | {"intensity_mm_h": each}, RainSettings) for each in intensities]

@@ -9,10 +9,10 @@ import pytest
 
 from extension_package import titled_blocks
 from gsrain_engine.disdrometer.file_summary import open_disdrometer_file
+from gsrain_engine.disdrometer.instruments import RD80_EDGES_MM
 from gsrain_engine.disdrometer.open import read_disdrometer
 from gsrain_engine.disdrometer.spectra import DisdrometerFileError
 from gsrain_engine.disdrometer.tables import TableColumns, load_columns
-from gsrain_engine.disdrometer.two_dvd import RD80_EDGES_MM
 from parsivel_text import DRY, pyatmoslogger, rain, scamp, velocity_major
 from repository import REPOSITORY
 

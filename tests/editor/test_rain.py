@@ -130,7 +130,7 @@ def test_a_fit_is_saved_and_used(rainy, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
     files = [tmp_path / "rain0.nc", tmp_path / "rain1.nc"]
     for file, intensity in zip(files, (2.0, 8.5), strict=True):
-        instrument = VirtualDisdrometer(RainSimulation.start(RainSettings(intensity_mm_h=intensity)), 0.5)
+        instrument = VirtualDisdrometer(RainSimulation.start(RainSettings(intensity_mm_h=intensity)), 0.1)
         write_spectra(file, instrument.measure(60.0 * np.arange(5)).spectra)
     lab, document = rainy.calibration, rainy.document
     lab.fit(files)

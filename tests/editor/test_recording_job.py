@@ -106,7 +106,6 @@ def test_a_sheet_has_five_intensities(editor, tmp_path):
 @pytest.mark.parametrize(
     ("settings", "target", "named"),
     [
-        ({"codec": "png"}, "file/clip", "file/clip"),
         ({"codec": "h264"}, "file/clip", "file/clip.mp4"),
         ({"size_px": (95, 64)}, "odd.mp4", "95x64"),
         ({"cameras": ("two",)}, "clip.mp4", "two"),

@@ -127,14 +127,17 @@ class InterpretedContext(moderngl.Context):
         for word in range(at, end):
             before = touched.get(word)
             if before is None:
-                touched[word] = [[me] if kind == each else [] for each in (LOAD, STORE, ATOMIC)]
+                touched[word] = before = [(), (), ()]  # by LOAD, STORE and ATOMIC
+                before[kind] = [me]
                 continue
             for other_kind, others in enumerate(before):
                 for other in others:
                     if other[0] != who and (other_kind != kind or kind == STORE):
                         self.race(memory, (other[1], _VERBS[other_kind]), (place, _VERBS[kind]))
             others = before[kind]
-            if not others or (len(others) == 1 and others[0][0] != who):
+            if not others:
+                before[kind] = [me]
+            elif len(others) == 1 and others[0][0] != who:
                 others.append(me)
         if kind == STORE:
             words[at:end] = codec.encode(request[5])

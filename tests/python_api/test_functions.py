@@ -86,7 +86,7 @@ def test_rain_from_a_disdrometer(tmp_path):
     logs = [tmp_path / f"{intensity}.nc" for intensity in (2.0, 8.0)]
     for log in logs:
         rainfall = RainSimulation.start(gr.Rain(float(log.stem)))
-        write_spectra(log, VirtualDisdrometer(rainfall).measure(np.arange(0.0, 181.0, 60.0)).spectra)
+        write_spectra(log, VirtualDisdrometer(rainfall, 0.1).measure(np.arange(0.0, 181.0, 60.0)).spectra)
     rain = gr.Rain.from_disdrometer(logs, save_to=tmp_path / "here" / "cal.yaml")
     assert rain.intensity_mm_h == pytest.approx(5.0, rel=0.05)
     assert rain.calibration == str(tmp_path / "here" / "cal.yaml")

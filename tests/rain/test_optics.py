@@ -22,6 +22,7 @@ FOCAL = 1000.0
 UP, AHEAD = np.array([0.0, 0, 1]), np.array([1.0, 0, 0])
 PUBLISHED = load_calibration("published")
 PHASES = np.random.default_rng(7).random((20, 2))
+SPACING_PX = 12  # of drops side by side: none is wider, and all are near the middle of the picture
 
 
 @pytest.fixture(scope="module")
@@ -46,17 +47,18 @@ def fall_speed(diameter_mm):
 
 
 def streak_picture(
-    renderer, diameter_mm, distance_m, exposure_s, phase=(0.0, 0.0), parts=(), gray=0.8, lens=None, **fields
+    renderer, diameter_mm, distance_m, exposure_s, phases=((0.0, 0.0),), parts=(), gray=0.8, lens=None, **fields
 ):
-    """Float picture (h, w, 4) of one drop straight ahead that falls, moved by a part of a pixel."""
-    length_px = fall_speed(diameter_mm) * exposure_s * FOCAL / distance_m
-    camera = eye_at((0.0, 0, 0), 48, int(3 * length_px) + 48, FOCAL)
-    at = np.array([[distance_m, phase[0] * distance_m / FOCAL, phase[1] * distance_m / FOCAL]])
-    velocity = np.array([[0.0, 0, -fall_speed(diameter_mm)]])
+    """Float picture (h, w, 4) of drops that fall side by side straight ahead, each moved by a part of a pixel."""
+    length_px, count = fall_speed(diameter_mm) * exposure_s * FOCAL / distance_m, len(phases)
+    camera = eye_at((0.0, 0, 0), 48 + SPACING_PX * (count - 1), int(3 * length_px) + 48, FOCAL)
+    px = np.array(phases) + np.outer(SPACING_PX * (np.arange(count) - (count - 1) / 2), [1, 0])
+    at = np.column_stack([np.full(count, distance_m), px * distance_m / FOCAL])
+    velocities = np.tile([0.0, 0, -fall_speed(diameter_mm)], (count, 1))
     rain = RainSettings(**fields)
     color = np.full(3, gray)
     shutter = ShutterModel(camera, np.zeros(3), exposure_s, FOCAL, lens or ThinLens())
-    drops = streak_gaussians(at, np.array([diameter_mm]), velocity, shutter, rain, color)
+    drops = streak_gaussians(at, np.full(count, diameter_mm), velocities, shutter, rain, color)
     renderer.draw(list(parts), camera, given_rain(drops, srgb_to_linear(color).astype(np.float32), rain.rain_light))
     return renderer.read().rgba.astype(np.float64)
 
@@ -72,8 +74,8 @@ def streak_picture(
 def test_a_streak_hides_as_much_as_its_drop(renderer, exposure_s, diameter_mm, tolerance, share_of_dm):
     """The sum of alpha over the picture is pi D^2 / 4 (f / d)^2 px^2, averaged over sub-pixel phases."""
     distance = share_of_dm * FOCAL * diameter_mm * 1e-3
-    pictures = [streak_picture(renderer, diameter_mm, distance, exposure_s, phase) for phase in PHASES]
-    mean = np.mean([picture[..., 3].sum() for picture in pictures])
+    picture = streak_picture(renderer, diameter_mm, distance, exposure_s, PHASES)
+    mean = picture[..., 3].sum() / len(PHASES)
     assert mean == pytest.approx(np.pi / 4 * (diameter_mm * 1e-3 * FOCAL / distance) ** 2, rel=tolerance)
 
 
@@ -82,7 +84,7 @@ def test_a_drop_out_of_focus_is_wider_by_the_circle_of_confusion_and_hides_as_mu
     diameter_mm, distance, exposure_s = 1.0, 0.5, 0.004
     lens = {"lens": ThinLens(4e-3, 8.0)}
     sharp, blurred = (
-        np.mean([streak_picture(renderer, diameter_mm, distance, exposure_s, phase, **fields)[..., 3] for phase in
+        np.mean([streak_picture(renderer, diameter_mm, distance, exposure_s, [phase], **fields)[..., 3] for phase in
                  PHASES[:6]], axis=0) for fields in ({}, lens)
     )  # fmt: skip
     assert blurred.sum() == pytest.approx(sharp.sum(), rel=0.03)
@@ -157,7 +159,7 @@ def _variance(alpha, axis):
 @pytest.mark.parametrize(("light", "rise"), [("linear", 8.0), ("display", 3.0)])
 def test_a_streak_before_grey_52_under_a_sky_of_200_rises_as_light_adds(renderer, light, rise):
     """A 1.5 mm drop at 16 ms covers 2 %: 8 levels where light adds, 3 where display values are mixed."""
-    drop = {"diameter_mm": 1.5, "distance_m": 0.25, "exposure_s": 0.016, "phase": (0.5, 0.5)}
+    drop = {"diameter_mm": 1.5, "distance_m": 0.25, "exposure_s": 0.016, "phases": [(0.5, 0.5)]}
     drop |= {"gray": 200 / 255, "rain_light": light}
     alpha = streak_picture(renderer, **drop)[..., 3]
     before = streak_picture(renderer, **drop, parts=[wall(9.0, 52 / 255)], streak_gain=0.0)[..., 0]

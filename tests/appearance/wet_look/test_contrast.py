@@ -4,13 +4,14 @@ import cv2
 import numpy as np
 import pytest
 
+from built_street import street_of, surfaces_of
 from gsrain_engine.appearance.scene_views import PlacedCamera, scene_view
 from gsrain_engine.appearance.wet_look.environment import SceneEnvironment
 from gsrain_engine.appearance.wet_look.settings import WetSettings
 from gsrain_engine.appearance.wet_look.translator import WetTransfer
 from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.scene.rig import rig_camera
-from gsrain_engine.scene.street.build import quads_to_gaussians, scene_of, street_surfaces
+from gsrain_engine.scene.street.build import quads_to_gaussians
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
@@ -18,8 +19,7 @@ LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 @pytest.fixture(scope="module")
 def images():
     """Clear image, that of the dry street under clouds, the computed wet one, and depth of two views below the sky."""
-    surfaces = street_surfaces()
-    street = scene_of(surfaces)
+    surfaces, street = surfaces_of(), street_of()
     clouds, renderer = street, CpuRenderer()
     for name, quads in surfaces.layers.items():
         clouds = clouds.with_member(f"layers/{name}", gaussians=quads_to_gaussians(quads, surfaces.light("overcast")))

@@ -22,7 +22,7 @@ HERE = np.eye(4)
 def moved(gaussians: Gaussians, to_world: np.ndarray) -> DrawItem:
     """Put Gaussians elsewhere in their own frame so that `to_world` brings their means back."""
     rotation = to_world[:3, :3]
-    means = np.linalg.solve(rotation, gaussians.means.T - to_world[:3, 3:]).T.astype(np.float32)
+    means = np.linalg.solve(rotation, gaussians.means.T - to_world[:3, 3:]).T.astype(np.float32, order="C")
     return DrawItem(replace(gaussians, means=means), to_world)
 
 

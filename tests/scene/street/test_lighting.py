@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from built_street import street_of, surfaces_of
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.render.cpu.renderer import CpuRenderer
@@ -14,7 +15,7 @@ from gsrain_engine.render.sky_color import sky_color
 from gsrain_engine.scene.gaussians import SH_C0, evaluate_sh
 from gsrain_engine.scene.geometry import srgb_to_linear
 from gsrain_engine.scene.rig import rig_camera
-from gsrain_engine.scene.street.build import quads_to_gaussians, scene_of, street_surfaces
+from gsrain_engine.scene.street.build import quads_to_gaussians
 from gsrain_engine.scene.street.layout import Label
 from gsrain_engine.scene.street.lighting import canyon_share, overcast_share
 from gsrain_engine.scene.street.vegetation import overcast_luminance, overcast_sky_display
@@ -26,12 +27,12 @@ LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 @pytest.fixture(scope="module")
 def surfaces():
-    return street_surfaces()
+    return surfaces_of()
 
 
 @pytest.fixture(scope="module")
-def street(surfaces):
-    return scene_of(surfaces)
+def street():
+    return street_of()
 
 
 @pytest.fixture(scope="module")
