@@ -131,7 +131,10 @@ class _OneLine(logging.Formatter):
 # Progress bars with an estimate of the time left; files and pipes get lines, or only the final state
 
 _Result = TypeVar("_Result")
-_FIRST_TIME = "The first time on a machine, code for its processor is compiled before the first frame: a minute or two."
+_FIRST_TIME = (
+    "The first time on a machine, code for its processor is compiled before the first frame: a minute or two, more if "
+    "it is busy."
+)
 
 
 @contextmanager

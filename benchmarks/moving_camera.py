@@ -67,7 +67,8 @@ class Pictures:
 
     def draw(self, quality: QualityLevel, view: RenderView, reuse: MirrorReuse) -> Image:
         whole, scale = view.camera, quality.scale
-        view = replace(view, camera=whole.resized(round(scale * WIDTH), round(scale * HEIGHT)), focal_px=whole.fx)
+        camera = whole.resized(round(scale * WIDTH), round(scale * HEIGHT))
+        view = replace(view, camera=camera, focal_px=quality.focal_share * whole.fx)
         cut = LiveCut(quality.error_px, self.trees, self._subsets[1 / 8]) if quality.error_px else None
         draw_view(
             self.renderer, self.scene, self._rainfall, self._sky, view,

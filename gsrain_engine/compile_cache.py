@@ -21,6 +21,7 @@ _SOURCES = _HERE / "render" / "cpu", _HERE / "render" / "autodiff", _HERE / "rai
 FRAME_SOURCES = *_SOURCES, _HERE / "scene"  # folders of all kernels of a frame
 _CACHED_VERSIONS = 2
 _UNUSED_S = 3600.0  # age after which an unused folder may be removed; a process that still uses it only compiles again
+KERNELS = 87  # compiled for a frame, nearly: the whole of what `compiled_kernels` counts
 ROOM_BYTES = 32 << 20  # free space to require; the kernels take a fifth of it
 
 
@@ -51,6 +52,12 @@ def has_kernels() -> bool:
     """Return whether the cache folder holds all kernels of a frame, so that loading them takes less than a second."""
     mark = _mark()
     return mark is not None and mark.is_file()
+
+
+def compiled_kernels() -> int:
+    """Return the number of kernels in the cache folder, also while another process compiles; at most `KERNELS`."""
+    folder = os.environ.get("NUMBA_CACHE_DIR")
+    return 0 if folder is None else min(sum(1 for _ in Path(folder).rglob("*.nbi")), KERNELS)
 
 
 def stores_kernels() -> bool:

@@ -44,6 +44,7 @@ def pytest_collection_finish():
 @pytest.fixture(autouse=True)
 def _begun_anew():
     type_checker.begin_test()
+    Path(_OWN.name, "gsrain", "preferences.yaml").unlink(missing_ok=True)  # of the test before
     if "PYTEST_XDIST_WORKER" in os.environ and (numba := sys.modules.get("numba")):
         numba.set_num_threads(1)  # each test process has a core; tests of more threads set their number
     if torch := sys.modules.get("torch"):

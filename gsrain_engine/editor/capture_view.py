@@ -139,7 +139,8 @@ class CaptureController:
         self.capture, self.path, self.points = capture, path, points
         self.pictures = CaptureImageLoader(capture, self._thread)
         self.frustum_m = frustum_length(capture)
-        logger.info("Opened capture %s: %d views", capture.name, len(capture))
+        self._status.dismiss()
+        logger.info("Opened capture %s: %d view%s", capture.name, len(capture), "s"[: len(capture) != 1])
         for problem in capture.problems:
             logger.warning("%s: %s", capture.name, problem)
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import platformdirs
 
+from ..compile_cache import KERNELS
 from ..malloc_tuning import MemoryTrimmer
 from ..rain.keyframes import NO_KEYFRAMES, keyframes_of, rain_of
 from ..rain.settings import RainSettings, load_preset
@@ -84,7 +85,9 @@ class Editor:
             self.viewport, self.live_rain, self.captures, self.jobs, self.files, self.status
         )
         self.finetune = FinetuneController(self.jobs, self.status)
-        self.render_queue = RenderQueue(self.viewport, self.live_rain, self.jobs, self.files, self.status)
+        self.render_queue = RenderQueue(
+            self.viewport, self.live_rain, self.jobs, self.files, self.preferences, self.status
+        )
         self._reset_view()
 
     # Opening and closing
@@ -127,6 +130,7 @@ class Editor:
         self._is_closed = True
         self.jobs.close()
         self.files.close()
+        self.render_queue.poll()
         self.preferences.close()
         self._thread.shutdown()
         self.viewport.obstacles.close()
@@ -148,7 +152,14 @@ class Editor:
             return "Finding roofs"
         if not self.viewport.is_compiling:
             return None
-        return "Preparing the renderer (first start only)" if self.viewport.is_preparing else "Loading the renderer"
+        return self.preparing if self.viewport.is_preparing else "Loading the renderer"
+
+    @property
+    def preparing(self) -> str:
+        """Description of the preparation of the renderer, with its progress."""
+        done = self.viewport.kernels
+        so_far = "" if done is None else f": {done} of about {KERNELS} kernels"
+        return f"Preparing the renderer, at the first start of a version only{so_far}"
 
     @property
     def pending_files(self) -> list[Future[Any]]:
@@ -174,8 +185,8 @@ class Editor:
         viewport.drawn_preview, viewport.preview = viewport.preview, None
         viewport.following.ride(self.rollouts.displayed_scene, self.playback.clock.time_s, viewport.navigation)
         for part in (
-            self.files, self.preferences, self.live_rain, self.captures, self.matching, self.rollouts, self.jobs,
-            self.wet_look,
+            self.files, self.render_queue, self.preferences, self.live_rain, self.captures, self.matching,
+            self.rollouts, self.jobs, self.wet_look,
         ):  # fmt: skip
             part.poll()
         if viewport.staged is None and not self.rollouts.is_working:  # otherwise a result is still being swapped in
@@ -271,7 +282,8 @@ class Editor:
         assert frame is not None
         viewport.picture_view = frame.canvas_view
         viewport.is_compiling, viewport.is_catching_up = result.is_compiling, result.is_catching_up
-        viewport.is_preparing, viewport.budget.has_cuts = result.is_preparing, result.has_cuts
+        viewport.is_preparing, viewport.kernels = result.is_preparing, result.kernels
+        viewport.budget.has_cuts = result.has_cuts
         for problem in result.problems:
             self.status.report(problem)
         if result.drawn is not None:

@@ -40,11 +40,18 @@ class NightLook:
             if relit is None:
                 return "The scene has changed meanwhile: relight it again"
             self._document.edit(NIGHT_TITLE, replace_scene, relit, recipe=Recipe(relight_by_night, {}))
-            count = len(relit.lamps)
-            return f"Lit by {count} lamp{'s'[: count != 1]}"
+            return _summary(relit, scene)
 
         progress = Progress(0.0, "Looking at the scene")
         return self._jobs.start(Job("night", NIGHT_TITLE, work, no_result, in_thread=True, progress=progress), take)
+
+
+def _summary(relit: Scene, before: Scene) -> str:
+    """Sentence about the lamps and the layers of a night, and where to find them."""
+    count, names = len(relit.lamps), {each.name for each in before.layers}
+    added = " and ".join(each.name for each in relit.layers if each.name not in names)
+    layers = f"; new in the Layers panel: {added}" if added else ""
+    return f"Lit by {count} lamp{'s'[: count != 1]} (Rain panel, Lamps){layers}"
 
 
 def _with_light_of(night: Scene, before: Scene, now: Scene) -> Scene | None:

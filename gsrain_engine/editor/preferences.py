@@ -104,6 +104,10 @@ class Preferences(msgspec.Struct, frozen=True, kw_only=True):
     front_panels: tuple[str, ...] = ()
     """Panels that were in front when the last window was closed; empty for the first ones of each side."""
     hidden_panels: tuple[str, ...] = ()
+    recording: dict[str, Any] = {}
+    """Settings of the Record panel that are not the default, by field of `ExportSettings`."""
+    records_range: bool = True
+    """True if the Record panel records the timeline's range."""
 
 
 def load_preferences() -> tuple[Preferences, str | None]:

@@ -22,12 +22,15 @@ from .files import Files
 from .jobs.job import Job, JobRunner
 from .jobs.record import SHEET_MM_H, export_job, frame_job, sheet_job, timing_job
 from .live_rain import LiveRain
+from .preferences import PreferencesStore
 from .status import StatusBus
 from .steps import python_program, shell_command, steps_since
 from .viewport.options import Texture
 from .viewport_state import ViewportState
 
 logger = logging.getLogger("gsrain")
+_PLAIN = ExportSettings(output="", size_px=(960, 640), codec="h264")
+_OF_SCENE = "output", "cameras"  # settings that the preferences don't hold
 
 
 class OutputEstimate(NamedTuple):
@@ -45,15 +48,23 @@ class OutputEstimate(NamedTuple):
 
 
 class RenderQueue:
-    """Settings of the next recording, and its start. Main thread only."""
+    """Settings of the next recording, which the preferences hold, and its start. Main thread only."""
 
     def __init__(
-        self, viewport: ViewportState, live_rain: LiveRain, jobs: JobRunner, files: Files, status: StatusBus
+        self,
+        viewport: ViewportState,
+        live_rain: LiveRain,
+        jobs: JobRunner,
+        files: Files,
+        preferences: PreferencesStore,
+        status: StatusBus,
     ) -> None:
         self._viewport, self._document, self._playback = viewport, viewport.document, viewport.playback
         self._live_rain, self._jobs, self._files, self._status = live_rain, jobs, files, status
-        self._settings = ExportSettings(output="", size_px=(960, 640), codec="h264")
-        self.follows_range = True
+        self._preferences = preferences
+        self._settings = _stored_settings(preferences.value.recording)
+        self._playback.timeline.fps = self._settings.fps
+        self.follows_range = preferences.value.records_range
         """True if the first and the last moment are those of the timeline's range, where it is set."""
         self._timed: list[tuple[Job[Any], float]] = []
         self.preview: UInt8[np.ndarray, "h w c"] | None = None
@@ -67,6 +78,17 @@ class RenderQueue:
         if self.follows_range and (span_s := self._playback.clock.span_s) is not None:
             fields |= {"first_s": span_s[0], "last_s": span_s[1]}
         return msgspec.structs.replace(self._settings, **fields)
+
+    def poll(self) -> None:
+        """Put settings that have changed into the preferences. Once a frame."""
+        settings = msgspec.structs.replace(self._settings, fps=self._playback.timeline.fps)
+        changed = {
+            name: list(value) if isinstance(value, tuple) else value for name in settings.__struct_fields__
+            if name not in _OF_SCENE and (value := getattr(settings, name)) != getattr(_PLAIN, name)
+        }  # fmt: skip
+        now, before = (changed, self.follows_range), self._preferences.value
+        if now != (before.recording, before.records_range):
+            self._preferences.set(recording=changed, records_range=self.follows_range)
 
     @property
     def end_s(self) -> float:
@@ -83,9 +105,12 @@ class RenderQueue:
     def change(self, **fields: object) -> None:
         """Change settings; inconsistent ones are rejected and the error reported."""
         try:
+            settings, own = self.settings, self._settings
             if fields.keys() & {"first_s", "last_s"}:
                 self.follows_range = False
-            values = {name: getattr(self.settings, name) for name in self.settings.__struct_fields__} | fields
+            else:  # the ends of the timeline's range are not the panel's own
+                settings = msgspec.structs.replace(settings, first_s=own.first_s, last_s=own.last_s)
+            values = {name: getattr(settings, name) for name in settings.__struct_fields__} | fields
             values |= _fitting(fields, values)
             self._settings = msgspec.convert(values, ExportSettings)
             self._playback.timeline.fps = self._settings.fps
@@ -94,9 +119,8 @@ class RenderQueue:
 
     def use_preset(self, preset: ExportPreset) -> None:
         """Take the settings of a preset; the cameras and the times stay."""
-        plain = ExportSettings(output="", size_px=(960, 640), codec="h264")
-        stay = ("output", "cameras", "first_s", "last_s")
-        fields = {name: getattr(plain, name) for name in plain.__struct_fields__ if name not in stay}
+        stay = (*_OF_SCENE, "first_s", "last_s")
+        fields = {name: getattr(_PLAIN, name) for name in _PLAIN.__struct_fields__ if name not in stay}
         self.change(**(fields | dict(preset.fields)))
 
     @property
@@ -289,6 +313,16 @@ class RenderQueue:
         return export_sequences(
             recording, self._document.scene, self._live_rain.simulation, self._viewport.path, in_scene_time=is_own
         )
+
+
+def _stored_settings(fields: Mapping[str, Any]) -> ExportSettings:
+    """Settings with fields of the preferences; the default if those of another version don't fit."""
+    known = {name: fields[name] for name in _PLAIN.__struct_fields__ if name in fields and name not in _OF_SCENE}
+    try:
+        return msgspec.convert(msgspec.to_builtins(_PLAIN) | known, ExportSettings)
+    except ValueError as error:
+        logger.warning("The settings of the last recording can't be used: %s", error)
+        return _PLAIN
 
 
 def _fitting(changed: Mapping[str, object], values: Mapping[str, Any]) -> dict[str, object]:

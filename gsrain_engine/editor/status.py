@@ -86,7 +86,7 @@ class StatusBus:
 
     def __init__(self) -> None:
         self.problem: str | None = None
-        """Last error, in one sentence; the viewport shows it until it is dismissed or a scene is opened."""
+        """Last error, in one sentence; the viewport shows it until it is dismissed, or a scene or capture is opened."""
         self.log = LogLines()
         self._questions: tuple[Question, ...] = ()
         logger.setLevel(logging.INFO)

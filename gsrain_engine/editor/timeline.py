@@ -148,8 +148,8 @@ class Playback:
         self.clock.span_s = start + seconds, end + seconds
 
     def reset(self) -> None:
-        """Forget the timeline and the span of another scene."""
-        self.timeline, self.clock.span_s = Timeline(), None
+        """Forget the timeline of another scene but for its frame rate, and the span."""
+        self.timeline, self.clock.span_s = Timeline(fps=self.timeline.fps), None
 
 
 @lru_cache(maxsize=4)

@@ -72,6 +72,8 @@ class ViewportState:
         self.backend = self.backend_reason = ""
         self.is_compiling = self.is_preparing = False
         """True if the viewport can't be drawn before kernels are compiled or loaded."""
+        self.kernels: int | None = None
+        """Number of kernels that are compiled so far while the renderer is prepared; None if it is unknown."""
         self.is_catching_up = False
         """True if the next frames continue unfinished work although nothing moves."""
         self.screenshot: Path | None = None
@@ -148,7 +150,8 @@ class ViewportState:
             detail = FULL_QUALITY
         scale = detail.scale / self.options.shrink
         drawn_height = max(1, round(height * scale))
-        return self.shot(max(1, round(width * scale)), drawn_height, height / drawn_height), detail
+        focal_scale = detail.focal_share * height / drawn_height
+        return self.shot(max(1, round(width * scale)), drawn_height, focal_scale), detail
 
     def _observe(self, now: RenderView, content: Hashable, *, is_animated: bool, stands: bool) -> QualityLevel:
         before, at = self._last_view, time.perf_counter()

@@ -72,7 +72,7 @@ def _head(captures: CaptureController, capture: Capture) -> None:
     if button(f"{_ICONS.ICON_FA_XMARK}###close capture", "Close the capture; the scene stays open."):
         captures.close_capture()
         return
-    parts = [f"{len(capture):,} views"]
+    parts = [f"{len(capture):,} view{'s'[: len(capture) != 1]}"]
     if len(capture.sensors) > 1:
         parts.append(f"{len(capture.sensors)} cameras")
     if captures.points is not None:

@@ -123,7 +123,7 @@ def drag_vector(
     return changed, (x, y, z)
 
 
-def same_line_if_fits(width_em: float) -> None:
+def same_line_if_room(width_em: float) -> None:
     """Continue on the same line, after a gap, if the width still fits; else on the next."""
     imgui.same_line(0, 10)
     if imgui.get_content_region_avail().x < width_em * imgui.get_font_size():

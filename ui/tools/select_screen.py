@@ -17,7 +17,7 @@ from gsrain_engine.editor.viewport.picking import PickResult, pick
 from ..widgets.draw import Canvas, is_clicked
 from ..widgets.type_ahead import combo_box
 from . import base
-from .base import same_line_if_fits
+from .base import same_line_if_room
 
 MODIFIERS = "Shift adds, Ctrl removes, both intersect."
 _DEPTH_HELP = (
@@ -58,7 +58,7 @@ class ShapeTool(base.DragTool):
     def options(self) -> None:
         options = self._selection
         mode_options(self._selection)
-        same_line_if_fits(14)
+        same_line_if_room(14)
         choices = get_args(screen.Depths)
         imgui.set_next_item_width(7.5 * imgui.get_font_size())
         changed, picked = combo_box("##depths", choices.index(options.depths), list(choices))
@@ -66,12 +66,12 @@ class ShapeTool(base.DragTool):
         if changed:
             options.depths = choices[picked]
         if options.depths == "to a depth":
-            same_line_if_fits(5.5)
+            same_line_if_room(5.5)
             help_text = "How deep, in meters from the camera along its view axis."
             _, options.depth_m = base.drag_number(
                 "##depth_m", options.depth_m, 0.1, (0.2, 2000.0), "%.1f m", help_text, 5.5, flags=0
             )
-        same_line_if_fits(6)
+        same_line_if_room(6)
         _, options.touching = imgui.checkbox("Touching", options.touching)
         imgui.set_item_tooltip(
             "Take in Gaussians that the shape touches within one standard deviation, not only those whose center it "
@@ -152,7 +152,7 @@ class PolygonTool(LassoTool):
 
     def options(self) -> None:
         super().options()
-        same_line_if_fits(10)
+        same_line_if_room(10)
         imgui.align_text_to_frame_padding()
         imgui.text_disabled("click corners, Enter closes" if self.points else "click corners")
         imgui.set_item_tooltip("Enter or a click on the first corner closes; Backspace drops the last; Esc drops all.")
@@ -193,7 +193,7 @@ class BrushTool(ShapeTool):
     def options(self) -> None:
         options = self._selection
         super().options()
-        same_line_if_fits(7)
+        same_line_if_room(7)
         help_text = "Radius of the brush in pixels ([ and ])."
         _, options.brush_radius_px = base.drag_number(
             "##radius", options.brush_radius_px, 0.5, _RADII_PX, "radius %.0f px", help_text, 7
@@ -234,7 +234,7 @@ class ColorPickTool(base.Tool):
     def options(self) -> None:
         options = self._selection
         mode_options(self._selection)
-        same_line_if_fits(9)
+        same_line_if_room(9)
         help_text = (
             "How far red, green and blue may each differ from the color under the mouse, 0..1.\n"
             "Drag, or double-click to type."
@@ -260,7 +260,7 @@ class FloodTool(ColorPickTool):
     def options(self) -> None:
         options = self._selection
         super().options()
-        same_line_if_fits(9)
+        same_line_if_room(9)
         help_text = (
             "Over how wide a gap the flood runs, in spacings: the distance to the eighth nearest alike Gaussian there."
         )

@@ -14,7 +14,7 @@ from gsrain_engine.scene.scene import Scene
 from ..widgets.draw import WHITE, YELLOW, Canvas, draw_hint, draw_line, draw_point
 from ..widgets.fields import button
 from ..widgets.text import inline_text
-from .base import CLAMP, DragTool, Tool, drag_number, drag_vector, draw_polyline, point_under_mouse, same_line_if_fits
+from .base import CLAMP, DragTool, Tool, drag_number, drag_vector, draw_polyline, point_under_mouse, same_line_if_room
 from .select_screen import MODIFIERS, mode_now, mode_options
 
 _FIRST_SIZE_M = (2.0, 2.0, 2.0)
@@ -77,13 +77,13 @@ class BoxTool(BoxFaceTool):
         box = self._selection.box
         if box is None:
             return
-        same_line_if_fits(14.5)
+        same_line_if_room(14.5)
         inline_text("at", faint=True)
         _, center = drag_vector("##center", box.center_m, 0.02, -1e5, _CENTER_HELP, 12, flags=0)
-        same_line_if_fits(14.5)
+        same_line_if_room(14.5)
         inline_text("size", faint=True)
         _, size = drag_vector("##size", box.size_m, 0.02, 0.01, _SIZE_HELP, 12)
-        same_line_if_fits(7)
+        same_line_if_room(7)
         inline_text("turn", faint=True)
         _, yaw = drag_number("##yaw", box.yaw_deg, 0.5, (-180.0, 180.0), "%.1f°", _YAW_HELP, 4.5)
         self._selection.box = CropBox(center, size, yaw)
@@ -130,10 +130,10 @@ class SphereTool(DragTool):
         ball = self._selection.ball
         if ball is None:
             return
-        same_line_if_fits(13)
+        same_line_if_room(13)
         help_text = "Center of the sphere in the world: x, y, z in meters."
         moved, center = drag_vector("##center", ball.center_m, 0.02, -1e5, help_text, 13, flags=0)
-        same_line_if_fits(7)
+        same_line_if_room(7)
         help_text, flags = "Radius of the sphere in meters.", CLAMP | imgui.SliderFlags_.logarithmic
         sized, radius = drag_number(
             "##radius_m", ball.radius_m, 0.01, (0.01, 1e4), "radius %.2f m", help_text, 7, flags
@@ -157,7 +157,7 @@ def _apply(selection: SelectionTool, time_s: float, volume: Volume, name: str) -
 
 def _is_dropped(playback: Playback, selection: SelectionTool, volume: Volume, name: str) -> bool:
     """Draw the buttons of a volume; returns True if it is to be removed."""
-    same_line_if_fits(11)
+    same_line_if_room(11)
     if button(f"Apply##{name}", "Select what is inside (Enter), whether the camera sees it or not."):
         _apply(selection, playback.clock.time_s, volume, name)
     imgui.same_line()

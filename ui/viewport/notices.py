@@ -14,6 +14,7 @@ from typing import Any
 from imgui_bundle import ImVec2, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
+from gsrain_engine.compile_cache import KERNELS
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.jobs.job import Job, JobRunner, duration_text
 from gsrain_engine.editor.status import StatusBus
@@ -26,7 +27,7 @@ logger = logging.getLogger("gsrain")
 _WIDTH_EM, _MIN_WIDTH_EM = 34.0, 22.0
 _MARGIN = 10.0
 _MAX_ENDED = 3
-_PREPARING = "Preparing the renderer (first start only): about a minute, in which it does not rain yet."
+_PREPARING = "Until then it does not rain. It takes two minutes on an idle computer, and far longer on a busy one."
 
 
 def draw_notices(editor: Editor, corner: ImVec2, tools: float, taken: ImVec2, width: int, height: int) -> None:
@@ -39,15 +40,16 @@ def draw_notices(editor: Editor, corner: ImVec2, tools: float, taken: ImVec2, wi
     if editor.busy is not None:
         wide = min(_WIDTH_EM * em, width - 2 * _MARGIN)
         imgui.set_cursor_screen_pos(ImVec2(corner.x + (width - wide) / 2, corner.y + 0.4 * height))
-        _draw_busy(editor.busy, wide)
+        _draw_busy(editor.busy, wide, editor.viewport.kernels if editor.busy == editor.preparing else None)
     is_narrow = width - taken.x - 2 * _MARGIN < _MIN_WIDTH_EM * em  # no room next to the card
     wide = min(_WIDTH_EM * em, width - 2 * _MARGIN - max(tools, 0.0 if is_narrow else taken.x))
     left = corner.x + width - wide - _MARGIN
     bottom = corner.y + height - _MARGIN - (taken.y if is_narrow else 0.0)
     if editor.viewport.is_preparing and editor.busy is None:
-        bottom -= _height(_PREPARING, wide)
+        words = f"{editor.preparing}. {_PREPARING}"
+        bottom -= _height(words, wide)
         imgui.set_cursor_screen_pos(ImVec2(left, bottom))
-        _draw_busy(_PREPARING, wide)
+        _draw_busy(words, wide, editor.viewport.kernels)
         bottom -= _MARGIN
     if editor.status.problem is not None:
         bottom -= _height(f"{icons.ICON_FA_TRIANGLE_EXCLAMATION}  {editor.status.problem}", wide)
@@ -68,10 +70,11 @@ def _height(words: str, wide: float) -> float:
     return text_height + 2 * padding.y + imgui.get_frame_height_with_spacing()
 
 
-def _draw_busy(words: str, wide: float) -> None:
+def _draw_busy(words: str, wide: float, kernels: int | None) -> None:
+    """Draw a text over a bar: of the kernels that are compiled, or one that moves."""
     with card("busy", wide, imgui.Col_.popup_bg, 0.94, imgui.ChildFlags_.borders):
         imgui.text_wrapped(words)
-        imgui.progress_bar(-imgui.get_time(), ImVec2(-1, 0), "")
+        imgui.progress_bar(-imgui.get_time() if kernels is None else kernels / KERNELS, ImVec2(-1, 0), "")
 
 
 def _draw_problem(status: StatusBus, problem: str, wide: float) -> None:

@@ -39,6 +39,7 @@ from ..wet_look.water_map import with_water
 from ..wet_look.wet_gaussians import changed_harmonics, row_of
 from .lamp_shadows import OpacityGrid
 from .lanterns import bulbs, default_lamps
+from .traffic_lights import LENS_LIGHT, SignalLens, is_traffic_light, lamps_of_lenses, lit_lenses
 
 _NEUTRAL = WetSettings(sun_removal=1.0, coolness=0.0)
 """Clouds of neutral color, in whose light a color is the reflectance but for a factor."""
@@ -54,8 +55,8 @@ def night_scene(scene: Scene, lamps: Sequence[Lamp] | None = None) -> Generator[
 
     Args:
         scene: The scene; its geometry stays.
-        lamps: Lamps in place of the scene's own. A scene without any gets those of `default_lamps`. Only those that
-            are mounted on the scene light surfaces.
+        lamps: Lamps in place of the scene's own. A scene without any gets those of `default_lamps`, and one for each
+            lit lens of its traffic lights. Only those that are mounted on the scene light surfaces; lenses don't.
 
     Raises ValueError for a scene that is dark already, or has no Gaussians.
     """
@@ -67,11 +68,14 @@ def night_scene(scene: Scene, lamps: Sequence[Lamp] | None = None) -> Generator[
     scene, heights = with_water(scene)
     surfaces = yield from subprogress(find_surfaces(scene, heights), 0.1, 0.45)
     core = _core(scene)
-    shining, bodies = list(lamps if lamps is not None else scene.lamps), None
+    lights = [each for each in scene.members if is_traffic_light(each) and each.key in surfaces.members]
+    lenses = {each.key: lit_lenses(scene, each, surfaces.members[each.key]) for each in lights}
+    shining, bodies, signals = list(lamps if lamps is not None else scene.lamps), None, ()
     if lamps is None and not scene.lamps:
         shining, bodies = default_lamps(scene, core, surfaces.heights)
+        signals = lamps_of_lenses(scene, [(each, lenses[each.key]) for each in lights])
     yield Progress(0.5, "Finding what lamps are hidden by")
-    night = _Night.over(scene, surfaces, core, shining)
+    night = _Night.over(scene, surfaces, core, shining, lenses)
     layers, actors = list[Layer](), list[Actor]()
     for number, member in enumerate(scene.members):
         yield Progress(0.5 + 0.5 * number / len(scene.members), f"Lighting {member.name}")
@@ -85,7 +89,7 @@ def night_scene(scene: Scene, lamps: Sequence[Lamp] | None = None) -> Generator[
     new = [*([] if bodies is None else [bodies]), *([_dome(scene, core)] if surfaces.sky.tree is None else [])]
     layers += [replace(each, name=_free_name(scene, each.name), wet_sh=each.gaussians.sh) for each in new]
     yield Progress(1.0, "Done")
-    return replace(scene, layers=tuple(layers), actors=tuple(actors), lamps=tuple(shining))
+    return replace(scene, layers=tuple(layers), actors=tuple(actors), lamps=(*shining, *signals))
 
 
 def _core(scene: Scene) -> SceneCore:
@@ -230,15 +234,24 @@ class _Night:
     grid: OpacityGrid
     lamps: tuple[Lamp, ...]
     """Those mounted on the scene."""
+    lenses: dict[str, list[SignalLens]]
+    """Lit lenses of members by key."""
     eyes: Float64[np.ndarray, "e 3"]
     middle: Float64[np.ndarray, "3"]
 
     @classmethod
-    def over(cls, scene: Scene, surfaces: SceneSurfaces, core: SceneCore, lamps: Sequence[Lamp]) -> "_Night":
+    def over(
+        cls,
+        scene: Scene,
+        surfaces: SceneSurfaces,
+        core: SceneCore,
+        lamps: Sequence[Lamp],
+        lenses: dict[str, list[SignalLens]],
+    ) -> "_Night":
         relative = {key: reflectances(own, surfaces.light) for key, own in surfaces.members.items()}
         return cls(
             surfaces, relative, _Albedo.of(surfaces, relative), _grid(scene, surfaces),
-            tuple(lamp for lamp in lamps if lamp.mount == "scene"), viewpoints(scene), core.middle,
+            tuple(lamp for lamp in lamps if lamp.mount == "scene"), lenses, viewpoints(scene), core.middle,
         )  # fmt: skip
 
     def colors(self, scene: Scene, member: Layer | Actor) -> tuple[Harmonics, Harmonics]:
@@ -256,9 +269,10 @@ class _Night:
         linear = srgb_to_linear(own.color).astype(np.float32)
         lit = lamp_share(linear, own.broad.mean, own.vehicles) * own.vehicles
         gloss = MEAN_REFLECTANCE * (own.vehicles * own.up_facing)[:, None] * NIGHT.sky
-        found: list[Harmonics] = []
+        emitted, found = lit[:, None] * linear, list[Harmonics]()
+        for lens in self.lenses.get(member.key, ()):
+            emitted[lens.rows] = LENS_LIGHT * lens.color
         for reflectance, mirrored in ((albedo, 0.0), (soaked, gloss)):
-            emitted = lit[:, None] * linear
             color = NIGHT.display(light * reflectance + mirrored + emitted).astype(np.float32)
             color = color + share[:, None] * (sky - color)
             changed = changed_harmonics(member.gaussians.sh, own.color, color)

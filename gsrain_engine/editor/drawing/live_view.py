@@ -147,6 +147,7 @@ class LiveView:
         self.trees.follow(scenes)
         result = DrawResult(frame, is_compiling=not self._can_draw, is_pending_ready=self._is_pending_ready)
         result.is_preparing = self._compiles and not self.is_settled
+        result.kernels = self._cpu.compiled if self._cpu is not None and result.is_preparing else None
         if self._can_draw:
             self._sample_sky(frame, result)
         sky = (result.sky or frame.sky).at(frame.overcast)

@@ -3,7 +3,7 @@
 import logging
 import multiprocessing
 import threading
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any, get_args
@@ -12,7 +12,7 @@ import moderngl
 import numpy as np
 from jaxtyping import UInt8
 
-from ...compile_cache import has_kernels, mark_kernels, stores_kernels
+from ...compile_cache import compiled_kernels, has_kernels, mark_kernels, stores_kernels
 from ...rain.frame import RainCamera
 from ...rain.settings import RainSettings
 from ...rain.simulation import OVERCAST, RainSimulation
@@ -172,6 +172,8 @@ class CpuTexture:
         self._is_compiling = False
         self.has_failed = False
         """True if the kernels can't be compiled."""
+        self.compiled: int | None = None
+        """Number of kernels that another process has compiled so far; None if none does."""
 
     def compile(self) -> None:
         """Start to compile or load the kernels in the background, once."""
@@ -198,7 +200,7 @@ class CpuTexture:
 
     def _compile(self) -> None:
         try:
-            load_kernels()
+            load_kernels(lambda count: setattr(self, "compiled", count))
         except Exception:  # OpenGL draws instead, slower; the window must not end
             self.has_failed = True
             logger.exception("The processor's kernels can't be compiled; OpenGL draws instead")
@@ -209,17 +211,23 @@ class CpuTexture:
 _loading = threading.Lock()
 
 
-def load_kernels() -> None:
+_COUNT_S = 0.5  # between reports
+
+
+def load_kernels(report: Callable[[int], object] = lambda _count: None) -> None:
     """Load all kernels of a picture; those that are missing are compiled by another process first.
 
-    The compiler holds Python's lock, so that in this process it would stop the interface.
+    The compiler holds Python's lock, so that in this process it would stop the interface. `report` is called with the
+    number of kernels that are compiled so far.
     """
     with _loading:
         if not has_kernels() and stores_kernels():
             with suppress(OSError):  # no process can be started: this one compiles
                 process = multiprocessing.get_context("spawn").Process(target=compile_kernels, daemon=True)
                 process.start()
-                process.join()
+                while process.is_alive():
+                    report(compiled_kernels())
+                    process.join(_COUNT_S)
         compile_kernels()
 
 

@@ -82,7 +82,16 @@ class QualityLevel(NamedTuple):
         """Factor on the target frame time: longer where no answer to the mouse waits, or less would hide the scene."""
         if self.has_backdrop:
             return 1.5
-        return 2.0 if self.error_px > 0 and self.scale <= 1 / 2 else 1.0
+        return _CUT_PATIENCE if self.error_px > 0 and self.scale <= 1 / 2 else 1.0
+
+    @property
+    def focal_share(self) -> float:
+        """Ratio of the focal length by which drops are told from the medium to that of the displayed picture.
+
+        Drops narrower than a pixel are part of the medium; in a coarse picture of a camera that moves, a pixel is
+        between that of the display and the picture's own.
+        """
+        return self.scale**_OF_COARSER_DROPS if self.error_px > 0 else 1.0
 
     def __str__(self) -> str:
         """Describe the level; empty for full quality."""
@@ -92,6 +101,9 @@ class QualityLevel(NamedTuple):
         merged = f"details under {self.error_px:g} px merged" if self.error_px > 0 else ""
         return ", ".join(filter(None, [subset, merged, backdrop, resolution]))
 
+
+_CUT_PATIENCE = 1.4  # 12 pictures in a second, with a margin of 1.5
+_OF_COARSER_DROPS = 0.25
 
 FULL_QUALITY = QualityLevel(1.0, 1.0)
 LEVELS = (
@@ -105,6 +117,7 @@ CUT_LEVELS = (
     FULL_QUALITY,
     *(QualityLevel(1.0, scale, error_px=1.0) for scale in (1.0, 5 / 6, 2 / 3)),
     *(QualityLevel(1.0, scale, error_px=error) for scale, error in ((1 / 2, 1.25), (2 / 5, 1.5), (1 / 3, 1.5))),
+    *(QualityLevel(1.0, scale, error_px=error) for scale, error in ((1 / 3, 2.0), (1 / 4, 2.0), (1 / 4, 2.5))),
 )
 """Details merged, and fewer pixels."""
 REFINED = CUT_LEVELS[3]

@@ -100,6 +100,28 @@ def test_a_drive_gets_lanterns_at_its_right_and_an_object_two_lamps(yard):
     assert [lamp.name for lamp in run_to_end(night_scene(Scene("pot", (pot,)))).lamps] == ["front lamp", "back lamp"]
 
 
+def test_lit_lenses_of_traffic_lights_shine_away_from_their_housing(yard):
+    lens = flat_patch((0, 0, 5), (0, 0.2, 0), (0, 0, 0.2), (1.0, 0.2, 0.15), 0.03, 1)
+    housing = flat_patch((0.1, -0.1, 4.5), (0, 0.4, 0), (0, 0, 1.2), (0.05, 0.05, 0.05), 0.05, 2)
+    own = Gaussians.concatenate([lens, housing])
+    own = replace(own, scales=own.scales * np.array([0.05, 1, 1], np.float32))
+    lights = replace(yard, layers=(*yard.layers, Layer("traffic lights", own)))
+    relit = run_to_end(night_scene(lights))
+    lamp = relit.lamps[-1]
+    assert lamp.name == "traffic light 1" and lamp.position == pytest.approx((0, 0.1, 5.1), abs=0.03)
+    assert lamp.direction == pytest.approx((-1, 0, 0), abs=0.02) and lamp.color[0] == 1 > 10 * lamp.color[1]
+    given = run_to_end(night_scene(lights, []))
+    assert given.lamps == ()  # those that are given, none, are all
+    light = display_light(given.member("layers/traffic lights"))
+    assert light[: len(lens), 0].min() > 0.9 and light[len(lens) :].max() < 0.1
+    sign = replace(lights, layers=(*yard.layers, Layer("signs", own)))
+    assert display_light(run_to_end(night_scene(sign, [])).member("layers/signs")).max() < 0.1
+
+
+def display_light(layer):
+    return srgb_to_linear(np.clip(0.5 + SH_C0 * layer.gaussians.sh[:, 0], 0, 1).astype(np.float64))
+
+
 def test_the_command_writes_the_same_bytes_twice_and_refuses_a_night(yard, tmp_path, capsys):
     write_scene(yard, tmp_path / "day")
     lamps = tmp_path / "lamps.yaml"
@@ -123,7 +145,8 @@ def test_the_job_of_the_window_is_one_step_that_can_be_repeated(yard):
         job.wait(60)
         settle(editor)
         document = editor.document
-        assert (job.progress.message, document.history.labels[1:]) == ("Lit by 1 lamp", ["Lock", "Relight for night"])
+        message = "Lit by 1 lamp (Rain panel, Lamps); new in the Layers panel: lamps and sky"
+        assert (job.progress.message, document.history.labels[1:]) == (message, ["Lock", "Relight for night"])
         _, step = steps_since(document.history, document.history.steps[0].document)
         made = document.scene.member("layers/all")
         assert made.locked

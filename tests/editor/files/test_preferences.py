@@ -3,10 +3,14 @@
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from gsrain_engine.editor.files import recent_files, update_recent_files
-from gsrain_engine.editor.preferences import Preferences, load_preferences, preferences_file
+from gsrain_engine.editor.preferences import Preferences, load_preferences, preferences_file, save_preferences
+from gsrain_engine.render.export_settings import EXPORT_PRESETS, ExportSettings
+
+_DEFAULT = ExportSettings(output="", size_px=(960, 640), codec="h264")
 
 
 def test_two_windows_keep_each_others_preferences(sessions):
@@ -16,6 +20,28 @@ def test_two_windows_keep_each_others_preferences(sessions):
     first.close()
     second.close()
     assert load_preferences()[0] == Preferences(theme="light", autosave_s=60.0)
+
+
+def test_the_settings_of_the_record_panel_stay_for_the_next_start(sessions):
+    editor = sessions()
+    editor.render_queue.use_preset(EXPORT_PRESETS[3])
+    editor.render_queue.change(first_s=1.5, last_s=4.0, twin="sunny", cameras=("front",))
+    editor.playback.timeline.fps = 12.0  # in the Timeline panel
+    settings = editor.render_queue.settings
+    editor.close()
+    again = sessions()
+    assert again.render_queue.settings == msgspec.structs.replace(settings, cameras=())
+    assert not again.render_queue.follows_range
+    again.render_queue.change(**{name: getattr(_DEFAULT, name) for name in _DEFAULT.__struct_fields__})
+    again.close()
+    assert not load_preferences()[0].recording
+
+
+def test_record_settings_of_another_version_are_left_out(sessions):
+    save_preferences(recording={"codec": "vp9", "sharpness": 3})
+    assert sessions().render_queue.settings.codec == "vp9"
+    save_preferences(recording={"codec": "mpeg2"})
+    assert sessions().render_queue.settings == _DEFAULT
 
 
 @pytest.mark.parametrize("text", ["theme: [", "theme: pink", "- 1", "\x00"])
