@@ -111,7 +111,7 @@ LEVELS = (
     QualityLevel(1 / 8, 2 / 3), QualityLevel(1 / 8, 1 / 2), QualityLevel(1 / 8, 1 / 3),
 )  # fmt: skip
 """First fewer Gaussians, then fewer pixels."""
-BACKDROP_LEVELS = tuple(QualityLevel(1.0, scale, has_backdrop=True) for scale in (1.0, 5 / 6, 2 / 3, 1 / 2))
+BACKDROP_LEVELS = tuple(QualityLevel(1.0, scale, has_backdrop=True) for scale in (1.0, 5 / 6, 2 / 3, 1 / 2, 2 / 5))
 """Fewer pixels; the first picture of a size is as slow as an exact one. Most of the others' time is the rain's own."""
 CUT_LEVELS = (
     FULL_QUALITY,
