@@ -132,17 +132,34 @@ def streak_depths(
 @no_type_check
 def optical_depth(x, y, z, numbers, drawn):
     """Optical depth of the medium up to a point in the camera's frame (meters)."""
+    depth, first, last, per_m = without_drawn(x, y, z, numbers)
+    return less_drawn(depth, first, last, per_m, numbers[1], drawn)
+
+
+@numba.njit(forceinline=True, error_model="numpy")
+@no_type_check
+def without_drawn(x, y, z, numbers):
+    """Optical depth if no streak were drawn; depths between which streaks may be, and depth for a meter of ray.
+
+    The last is infinite where there are none.
+    """
     length = np.sqrt(x * x + y * y + z * z)
     enters, leaves = np.float32(0), length
     if numbers[32] > 0:
-        enters, leaves = _within(x, y, z, length, numbers, 17)
+        enters, leaves = _within_region(x, y, z, length, numbers)
     depth = numbers[0] * (leaves - enters)
-    first, last = _within(x, y, z, length, numbers, 2)
+    first, last = _within_streaks(x, y, z, length, numbers)
     first, last = max(first, enters), min(last, leaves)
     slope = z / length
-    # Without a branch, so that LLVM vectorizes.
-    taken = _drawn_up_to(last * slope, numbers[1], drawn) - _drawn_up_to(first * slope, numbers[1], drawn)
-    return max(depth - (taken / slope if last > first and z > 0 else np.float32(0)), np.float32(0))
+    return depth, first * slope, last * slope, slope if last > first and z > 0 else np.float32(np.inf)
+
+
+@numba.njit(forceinline=True, error_model="numpy")
+@no_type_check
+def less_drawn(depth, first_m, last_m, slope, step_m, drawn):
+    """Optical depth without the share that streaks between two depths carry."""
+    taken = _drawn_up_to(last_m, step_m, drawn) - _drawn_up_to(first_m, step_m, drawn)
+    return max(depth - (taken / slope if slope < np.float32(np.inf) else np.float32(0)), np.float32(0))
 
 
 @numba.njit(error_model="numpy")
@@ -152,8 +169,8 @@ def _optical_depth_by_distance(x, y, z, numbers, drawn):
     length = np.sqrt(x * x + y * y + z * z)
     enters, leaves = np.float32(0), length
     if numbers[32] > 0:
-        enters, leaves = _within(x, y, z, length, numbers, 17)
-    first, last = _within(x, y, z, length, numbers, 2)
+        enters, leaves = _within_region(x, y, z, length, numbers)
+    first, last = _within_streaks(x, y, z, length, numbers)
     first, last = max(first, enters), min(last, leaves)
     taken = _drawn_up_to(last, numbers[1], drawn) - _drawn_up_to(first, numbers[1], drawn)
     return max(numbers[0] * (leaves - enters) - (taken if last > first else np.float32(0)), np.float32(0))
@@ -161,17 +178,34 @@ def _optical_depth_by_distance(x, y, z, numbers, drawn):
 
 @numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
-def _within(x, y, z, length, numbers, at):
-    """Distances in m at which a ray to a point enters and leaves a box, between 0 and its length."""
+def _within_streaks(x, y, z, length, n):
+    """Distances in m at which a ray to a point enters and leaves the region of streaks, between 0 and its length."""
     enters, leaves = np.float32(0), length
-    for row in range(3):
-        k = at + 3 * row
-        along = numbers[k] * x + numbers[k + 1] * y + numbers[k + 2] * z
-        start, half = numbers[at + 9 + row], numbers[at + 12 + row]
-        inverse = length / (along if abs(along) > np.float32(1e-9) else np.float32(1e-9))
-        near, far = (-half - start) * inverse, (half - start) * inverse
-        enters, leaves = max(enters, min(near, far)), min(leaves, max(near, far))
+    enters, leaves = _between(x, y, z, length, n[2], n[3], n[4], n[11], n[14], enters, leaves)
+    enters, leaves = _between(x, y, z, length, n[5], n[6], n[7], n[12], n[15], enters, leaves)
+    enters, leaves = _between(x, y, z, length, n[8], n[9], n[10], n[13], n[16], enters, leaves)
     return enters, max(leaves, enters)
+
+
+@numba.njit(forceinline=True, error_model="numpy")
+@no_type_check
+def _within_region(x, y, z, length, n):
+    """Those at which it enters and leaves the region of the medium."""
+    enters, leaves = np.float32(0), length
+    enters, leaves = _between(x, y, z, length, n[17], n[18], n[19], n[26], n[29], enters, leaves)
+    enters, leaves = _between(x, y, z, length, n[20], n[21], n[22], n[27], n[30], enters, leaves)
+    enters, leaves = _between(x, y, z, length, n[23], n[24], n[25], n[28], n[31], enters, leaves)
+    return enters, max(leaves, enters)
+
+
+@numba.njit(forceinline=True, error_model="numpy")
+@no_type_check
+def _between(x, y, z, length, right, up, ahead, start, half, enters, leaves):
+    """Cut a ray's distances to those between two faces of a box."""
+    along = right * x + up * y + ahead * z
+    inverse = length / (along if abs(along) > np.float32(1e-9) else np.float32(1e-9))
+    near, far = (-half - start) * inverse, (half - start) * inverse
+    return max(enters, min(near, far)), min(leaves, max(near, far))
 
 
 @numba.njit(forceinline=True, error_model="numpy")

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Int32
 
 from ...kernels import NOGIL
-from ...rain.medium import RainMedium, optical_depth
+from ...rain.medium import RainMedium, less_drawn, without_drawn
 from ...scene.camera import Camera
 from ...scene.geometry import linear_to_srgb
 from ...scene.scene import DrawItem
@@ -427,7 +427,9 @@ def dim_by_medium(splats: Splats, camera: Camera, medium: RainMedium, *, is_line
         _mix_airlights(splats.colors, shares, light, is_linear)
         return
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
-    _dim_by_medium(splats.shapes, splats.colors, intrinsics, medium.numbers, medium.drawn, light, is_linear)
+    # As a tuple, whose values a loop can't overwrite: LLVM would not vectorize it.
+    numbers = tuple(medium.numbers)
+    _dim_by_medium(splats.shapes, splats.colors, intrinsics, numbers, medium.drawn, light, is_linear)
 
 
 _BLOCK = 1024  # splats that are copied to contiguous numbers, which LLVM vectorizes
@@ -437,7 +439,7 @@ _BLOCK = 1024  # splats that are copied to contiguous numbers, which LLVM vector
 @no_type_check
 def _dim_by_medium(shapes, colors, intrinsics, numbers, drawn, light, is_linear):
     for block in numba.prange((len(colors) + _BLOCK - 1) // _BLOCK):
-        lines = np.empty((5, _BLOCK), np.float32)
+        lines = np.empty((6, _BLOCK), np.float32)
         start = block * _BLOCK
         count = min(_BLOCK, len(colors) - start)
         for i in range(count):
@@ -476,8 +478,12 @@ def _shares(lines, intrinsics, numbers, drawn):
     fx, fy, cx, cy = one / intrinsics[0], one / intrinsics[1], intrinsics[2], intrinsics[3]
     for i in range(_BLOCK):
         z = lines[2, i]
-        depth = optical_depth((lines[0, i] - cx) * fx * z, (lines[1, i] - cy) * fy * z, z, numbers, drawn)
-        lines[3, i] = exponential(-depth) if z > 0 else one
+        x, y = (lines[0, i] - cx) * fx * z, (lines[1, i] - cy) * fy * z
+        lines[3, i], lines[0, i], lines[1, i], lines[4, i] = without_drawn(x, y, z, numbers)
+    for i in range(_BLOCK):  # looks up, which is not vectorized
+        lines[5, i] = less_drawn(lines[3, i], lines[0, i], lines[1, i], lines[4, i], numbers[1], drawn)
+    for i in range(_BLOCK):
+        lines[3, i] = exponential(-lines[5, i]) if lines[2, i] > 0 else one
 
 
 @numba.njit(error_model="numpy", fastmath=FAST)
