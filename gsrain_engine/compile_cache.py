@@ -21,7 +21,7 @@ _SOURCES = _HERE / "render" / "cpu", _HERE / "render" / "autodiff", _HERE / "rai
 FRAME_SOURCES = *_SOURCES, _HERE / "scene"  # folders of all kernels of a frame
 _CACHED_VERSIONS = 2
 _UNUSED_S = 3600.0  # age after which an unused folder may be removed; a process that still uses it only compiles again
-KERNELS = 87  # compiled for a frame, nearly: the whole of what `compiled_kernels` counts
+KERNELS = 87  # about as many are compiled at a first start; only a progress bar counts them
 ROOM_BYTES = 32 << 20  # free space to require; the kernels take a fifth of it
 
 

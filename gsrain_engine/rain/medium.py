@@ -132,8 +132,8 @@ def streak_depths(
 @no_type_check
 def optical_depth(x, y, z, numbers, drawn):
     """Optical depth of the medium up to a point in the camera's frame (meters)."""
-    depth, first, last, per_m = without_drawn(x, y, z, numbers)
-    return less_drawn(depth, first, last, per_m, numbers[1], drawn)
+    depth, first, last, slope = without_drawn(x, y, z, numbers)
+    return less_drawn(depth, first, last, slope, numbers[1], drawn)
 
 
 @numba.njit(forceinline=True, error_model="numpy")
@@ -146,9 +146,9 @@ def without_drawn(x, y, z, numbers):
     length = np.sqrt(x * x + y * y + z * z)
     enters, leaves = np.float32(0), length
     if numbers[32] > 0:
-        enters, leaves = _within_region(x, y, z, length, numbers)
+        enters, leaves = _within(x, y, z, length, numbers, 17)
     depth = numbers[0] * (leaves - enters)
-    first, last = _within_streaks(x, y, z, length, numbers)
+    first, last = _within(x, y, z, length, numbers, 2)
     first, last = max(first, enters), min(last, leaves)
     slope = z / length
     return depth, first * slope, last * slope, slope if last > first and z > 0 else np.float32(np.inf)
@@ -169,8 +169,8 @@ def _optical_depth_by_distance(x, y, z, numbers, drawn):
     length = np.sqrt(x * x + y * y + z * z)
     enters, leaves = np.float32(0), length
     if numbers[32] > 0:
-        enters, leaves = _within_region(x, y, z, length, numbers)
-    first, last = _within_streaks(x, y, z, length, numbers)
+        enters, leaves = _within(x, y, z, length, numbers, 17)
+    first, last = _within(x, y, z, length, numbers, 2)
     first, last = max(first, enters), min(last, leaves)
     taken = _drawn_up_to(last, numbers[1], drawn) - _drawn_up_to(first, numbers[1], drawn)
     return max(numbers[0] * (leaves - enters) - (taken if last > first else np.float32(0)), np.float32(0))
@@ -178,23 +178,12 @@ def _optical_depth_by_distance(x, y, z, numbers, drawn):
 
 @numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
-def _within_streaks(x, y, z, length, n):
-    """Distances in m at which a ray to a point enters and leaves the region of streaks, between 0 and its length."""
+def _within(x, y, z, length, n, at):
+    """Distances in m at which a ray to a point enters and leaves a box, between 0 and its length."""
     enters, leaves = np.float32(0), length
-    enters, leaves = _between(x, y, z, length, n[2], n[3], n[4], n[11], n[14], enters, leaves)
-    enters, leaves = _between(x, y, z, length, n[5], n[6], n[7], n[12], n[15], enters, leaves)
-    enters, leaves = _between(x, y, z, length, n[8], n[9], n[10], n[13], n[16], enters, leaves)
-    return enters, max(leaves, enters)
-
-
-@numba.njit(forceinline=True, error_model="numpy")
-@no_type_check
-def _within_region(x, y, z, length, n):
-    """Those at which it enters and leaves the region of the medium."""
-    enters, leaves = np.float32(0), length
-    enters, leaves = _between(x, y, z, length, n[17], n[18], n[19], n[26], n[29], enters, leaves)
-    enters, leaves = _between(x, y, z, length, n[20], n[21], n[22], n[27], n[30], enters, leaves)
-    enters, leaves = _between(x, y, z, length, n[23], n[24], n[25], n[28], n[31], enters, leaves)
+    enters, leaves = _between(x, y, z, length, n[at], n[at + 1], n[at + 2], n[at + 9], n[at + 12], enters, leaves)
+    enters, leaves = _between(x, y, z, length, n[at + 3], n[at + 4], n[at + 5], n[at + 10], n[at + 13], enters, leaves)
+    enters, leaves = _between(x, y, z, length, n[at + 6], n[at + 7], n[at + 8], n[at + 11], n[at + 14], enters, leaves)
     return enters, max(leaves, enters)
 
 
