@@ -17,12 +17,16 @@ from ..water.pane import GlassKind, Pane, pane_of
 from ..water.refraction import GlassView, WetGlass, wide_view
 from ..water.spray import spray_of
 from .camera_response import CameraResponse, PictureOptics, metered_gain
+from .cpu.renderer import CpuRenderer
 from .draw import LodSample, RenderView, draw_view, ego_view
 from .renderer import Renderer
 
 WIDE_SHARE = 1 / 32
 """Share of the Gaussians in the wide view behind the glass. Against all of them, drops in pictures of the street have
 39 to 46 dB by day, and 35 to 46 dB at dusk."""
+
+WIDE_PX2 = 0.5
+"""Area of the wide view, in its pixels, below which fewer Gaussians are drawn."""
 
 
 class CameraOptics:
@@ -84,7 +88,8 @@ class CameraOptics:
             # Drops on glass shrink streaks and splashes to nothing, and of the mirror leave what wet colors have baked
             # in.
             view = replace(shot, camera=wide, focal_px=None)
-            draw_view(renderer, scene, rainfall, sky, view, thinning=LodSample(WIDE_SHARE), only_medium=True)
+            thinning = LodSample(WIDE_SHARE, WIDE_PX2 if isinstance(renderer, CpuRenderer) else 0.0)
+            draw_view(renderer, scene, rainfall, sky, view, thinning=thinning, only_medium=True)
             behind = renderer.read_uint8().copy()
         else:
             behind = np.zeros((wide.height, wide.width, 3), np.uint8)

@@ -18,7 +18,7 @@ from ..scene.camera import Camera
 from ..scene.gaussians import Gaussians, IdentityKey, scene_cache
 from ..scene.ground_water import WetGround, ground_heights
 from ..scene.lens_faces import wide_face
-from ..scene.lod_order import lod_growth, lod_sample
+from ..scene.lod_order import lod_growth, lod_sample, thinned
 from ..scene.lod_tree import MIN_GAUSSIANS, PIXEL, cut_lod_tree, merged_harmonics
 from ..scene.scene import DrawItem, Scene, is_single_object
 from ..water.films import WaterDepth, WaterFilms
@@ -278,7 +278,7 @@ def subset_items(parts: Sequence[DrawItem], thinning: Thinning | None, camera: C
     if thinning is None:
         return parts
     items = [item for part in parts for item in thinning.items(part, camera)]
-    return joined_items(items) if isinstance(thinning, LodSample) else items
+    return thinning.join(items, camera) if isinstance(thinning, LodSample) else items
 
 
 @dataclass(frozen=True, slots=True)
@@ -340,9 +340,14 @@ class LodSubset:
 
 @dataclass(frozen=True, slots=True)
 class LodSample:
-    """Draws a weighted sample of each part's Gaussians, which may be in any order, enlarged to cover as much as all."""
+    """Draws a weighted sample of each part's Gaussians, which may be in any order, enlarged to cover as much as all.
+
+    Of those in the sample that cover less than `least_px2` pixels of a pinhole image, fewer are drawn, enlarged in
+    turn (`thinned`). Their Gaussians are new ones in each image, which `cpu` does not mind.
+    """
 
     share: float
+    least_px2: float = 0.0
 
     def items(self, part: DrawItem, camera: Camera) -> Sequence[DrawItem]:
         """Replace a part by its sample."""
@@ -351,6 +356,19 @@ class LodSample:
         wet_sh = None if part.wet_sh is None else _rows_of(IdentityKey(part.wet_sh), IdentityKey(rows))
         left_out, selected = marks
         return [part._replace(gaussians=gaussians, wet_sh=wet_sh, left_out=left_out, selected=selected, tree=None)]
+
+    def join(self, items: Sequence[DrawItem], camera: Camera) -> Sequence[DrawItem]:
+        """Join the samples of parts, and leave out small Gaussians."""
+        joined = joined_items(items)
+        return [self._thinned(item, camera) for item in joined] if self.least_px2 > 0 else joined
+
+    def _thinned(self, item: DrawItem, camera: Camera) -> DrawItem:
+        c, g = camera, item.gaussians
+        intrinsics = c.fx, c.fy, c.cx, c.cy, c.width, c.height
+        members, scales = thinned(g, c.world_to_camera @ item.to_world, intrinsics, self.least_px2)
+        if item.left_out is not None:
+            members = members[~item.left_out.flags[members]]
+        return item._replace(gaussians=replace(g, scales=scales), members=members, left_out=None)
 
 
 _GROWN = 0.85

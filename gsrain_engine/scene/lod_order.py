@@ -5,10 +5,10 @@ from typing import no_type_check
 
 import numba
 import numpy as np
-from jaxtyping import Bool, UInt32, UInt64
+from jaxtyping import Bool, Float32, Float64, Int64, UInt32, UInt64
 
 from ..kernels import NOGIL
-from .gaussians import Gaussians
+from .gaussians import Gaussians, scene_cache
 from .scene import robust_bounds
 
 LEVELS = (1 / 8, 1 / 4, 1 / 2, 1.0)
@@ -95,6 +95,72 @@ def lod_sample(gaussians: Gaussians, share: float) -> tuple[Bool[np.ndarray, " n
     return sampled, math.sqrt(total / kept) if kept > 0 else 1.0
 
 
+def thinned(
+    gaussians: Gaussians, to_camera: Float64[np.ndarray, "4 4"], intrinsics: tuple[float, ...], least_px2: float
+) -> tuple[Int64[np.ndarray, " m"], Float32[np.ndarray, "n 3"]]:
+    """Members in view, of those that cover less than `least_px2` only a sample, and the scales of all Gaussians.
+
+    A Gaussian that covers the share r < 1 of that area is drawn if a number in (0, 1), its own for all images, is
+    below r, and then with an area of 1 / r: the sample covers as much as all. As the camera comes nearer, it grows
+    from nothing while r increases by a quarter, so that it does not pop up. Scales of those left out are 0. `to_camera`
+    is a similarity, and `intrinsics` are focal lengths, principal point and size of a pinhole image.
+    """
+    fx, fy, cx, cy, width, height = intrinsics
+    unit = float(np.cbrt(abs(np.linalg.det(to_camera[:3, :3]))))
+    slopes = (max(cx, width - cx) + _BLUR_PX) / fx, (max(cy, height - cy) + _BLUR_PX) / fy
+    members, scales = np.empty(len(gaussians), np.int64), np.zeros_like(gaussians.scales)
+    to_camera = np.ascontiguousarray(to_camera, np.float64)
+    eye = -np.linalg.solve(to_camera[:3, :3], to_camera[:3, 3])
+    by_area = fx * fy / least_px2
+    count = _thin(_areas(gaussians), gaussians.scales, to_camera, eye, unit, by_area, slopes, members, scales)
+    return members[:count], scales
+
+
+_BLUR_PX = 2.0  # reach of the smallest splat
+_REACH = 3.4  # standard deviations to which an opaque splat reaches
+_FADING = 4.0  # a Gaussian has faded in when it covers 1 + 1 / `_FADING` times the area from which it is drawn
+_MEAN_FADE = _FADING * math.log(1 + 1 / _FADING)  # mean share that is faded in, over all that may be drawn
+
+
+@scene_cache(maxsize=64)
+def _areas(gaussians: Gaussians) -> Float32[np.ndarray, "5 n"]:
+    """Mean area that each Gaussian hides; that over a number in (0, 1), hashed from its index; and its mean."""
+    areas = np.float32(2 * math.pi / 3) * _contributions(gaussians.scales, gaussians.opacities)
+    return np.ascontiguousarray(np.stack([areas, areas / _hashed(len(areas)), *gaussians.means.T]))
+
+
+@numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
+@no_type_check
+def _thin(lines, scales, m, eye, unit, by_area, slopes, members, thinned):
+    slope_x, slope_y = slopes
+    aside_x, aside_y = np.sqrt(1 + slope_x * slope_x), np.sqrt(1 + slope_y * slope_y)
+    areas, ranks, xs, ys, zs = lines[0], lines[1], lines[2], lines[3], lines[4]
+    by_area, eye_x, eye_y, eye_z = np.float32(by_area), np.float32(eye[0]), np.float32(eye[1]), np.float32(eye[2])
+    near = np.empty(len(areas), np.float32)
+    for i in range(len(near)):  # vectorized
+        x, y, z = xs[i] - eye_x, ys[i] - eye_y, zs[i] - eye_z
+        near[i] = by_area / (x * x + y * y + z * z)
+    found = 0
+    for i in range(len(near)):  # without branches
+        members[found] = i
+        found += np.int64(ranks[i] * near[i] > np.float32(1))
+    drawn = 0
+    for k in range(found):
+        i = members[k]
+        faded = _FADING * (ranks[i] * near[i] - 1.0)
+        growth = np.sqrt(min(faded, 1.0) / min(_MEAN_FADE * areas[i] * near[i], 1.0))
+        reach = _REACH * unit * growth * max(scales[i, 0], scales[i, 1], scales[i, 2])
+        x = m[0, 0] * xs[i] + m[0, 1] * ys[i] + m[0, 2] * zs[i] + m[0, 3]
+        y = m[1, 0] * xs[i] + m[1, 1] * ys[i] + m[1, 2] * zs[i] + m[1, 3]
+        z = m[2, 0] * xs[i] + m[2, 1] * ys[i] + m[2, 2] * zs[i] + m[2, 3]
+        if abs(x) <= slope_x * z + aside_x * reach and abs(y) <= slope_y * z + aside_y * reach:
+            for axis in range(3):
+                thinned[i, axis] = growth * scales[i, axis]
+            members[drawn] = i
+            drawn += 1
+    return drawn
+
+
 @numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
 def _contributions(scales, opacities):
@@ -113,13 +179,29 @@ def _ranks(contributions):
     """Convert weights to sort keys of a weighted sample: w / -ln(u), u in (0, 1) hashed from the index."""
     ranks = np.empty(len(contributions), np.float32)
     for n in numba.prange(len(contributions)):
-        x = np.uint64(n) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(0x9E3779B97F4A7C15)  # splitmix64 (Steele 2014)
-        x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-        x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-        x ^= x >> np.uint64(31)
-        u = ((x >> np.uint64(11)) + 0.5) * 2.0**-53
-        ranks[n] = min(contributions[n] / -np.log(u), 3e38)
+        ranks[n] = min(contributions[n] / -np.log(_uniform(np.uint64(n))), 3e38)
     return ranks
+
+
+@numba.njit(cache=True, nogil=NOGIL)
+@no_type_check
+def _hashed(count):
+    """Numbers in (0, 1) hashed from the index; others than those of a weighted sample."""
+    numbers = np.empty(count, np.float32)
+    for n in range(count):
+        numbers[n] = _uniform(~np.uint64(n))
+    return numbers
+
+
+@numba.njit(inline="always")
+@no_type_check
+def _uniform(n):
+    """Number in (0, 1) hashed from an integer, by splitmix64 (Steele 2014)."""
+    x = n * np.uint64(0x9E3779B97F4A7C15) + np.uint64(0x9E3779B97F4A7C15)
+    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    x ^= x >> np.uint64(31)
+    return ((x >> np.uint64(11)) + 0.5) * 2.0**-53
 
 
 @numba.njit(parallel=True, cache=True, nogil=NOGIL)
