@@ -40,6 +40,7 @@ _FILM_M, _FILM_SHARE = 2e-6, 0.5  # depth at which the film takes 1 - 1/e of its
 _DIRT_SHARE, _WIPED_SHARE = 0.2, 0.3  # coverage of dirt of 1, and what wipers leave of it; ours
 _DIRT_M = 0.009, 0.0023  # sizes of spots
 _BLADE_LIGHT, _ARM_M = 0.01, 0.006
+_NOWHERE = np.float32(1e6)
 _TONES = 1 << 14
 _FAST = {"contract", "nsz", "arcp"}  # fused multiply-add and reciprocals, but no change of infinities or order
 
@@ -109,7 +110,9 @@ class GlassView:
         glass, pane, height, width = self.glass, self.glass.pane, image.shape[0], image.shape[1]
         camera = self.camera.resized(width, height)
         grid = _pane_grid(pane, self.lens, camera.rounded_intrinsics, width, height)
-        dirt = _dirt(grid, glass.seed) if glass.dirt > 0 else np.zeros((0, 0), np.float32)
+        blade_rad = -1.0 if glass.blade_rad is None else glass.blade_rad
+        has_wiper = blade_rad >= 0
+        dirt = _dirt(grid, glass.seed, has_wiper) if glass.dirt > 0 else np.zeros((0, 0), np.float32)
         rows, columns = grid.size
         layer = np.zeros((rows, columns, 4), np.float32)
         wide = wide_camera(camera, self.wide.shape[1])
@@ -124,17 +127,21 @@ class GlassView:
             )  # fmt: skip
         blurred = _shrunk(image)
         pivot = pivot_px(pane, camera)
-        if glass.blade_rad is not None:
+        if has_wiper:
             blurred = smeared(blurred, pivot, camera.fy, height / blurred.shape[0])
+        depth_m = np.empty(grid.size, np.float32)
+        _sample_film(grid.places, np.array(pane.low_m), glass.film_m, glass.film_cell_m, depth_m)
         _draw_veil(
-            layer, grid.view, grid.axes, np.array(pane.low_m), glass.film_m, glass.film_cell_m, glass.dirt, dirt,
-            -1.0 if glass.blade_rad is None else glass.blade_rad, blurred, np.array(cv2.mean(blurred)[:3]),
+            layer, grid.places, _film_share(depth_m), dirt, glass.dirt, blade_rad, grid.margin, blurred,
+            np.array(cv2.mean(blurred)[:3]),
         )  # fmt: skip
         layer = _blurred(layer, grid.radii) if grid.radii.max() >= 0.5 else layer
-        streaks = None if glass.blade_rad is None else lamp_streaks(image, pivot, camera.fy)
+        streaks = lamp_streaks(image, pivot, camera.fy) if has_wiper else None
         if streaks is not None:
-            share = _FILM_SHARE, _FILM_M
-            add_streaks(layer, streaks, grid.view, grid.axes, pane.low_m, glass.film_m, glass.film_cell_m, share)
+            # The lens is open: it averages the film over a few of its cells.
+            around = cv2.blur(glass.film_m, (3, 3), borderType=cv2.BORDER_CONSTANT)
+            share, cells = _film_share(around), (grid.cell_px, grid.margin)
+            add_streaks(layer, streaks, grid.places, *cells, pane.low_m, share, glass.film_cell_m)
         return layer, grid.cell_px, grid.margin
 
 
@@ -151,6 +158,8 @@ class _PaneGrid:
     """Focal lengths and principal point in px, pixels of a cell, cells of the margin."""
     axes: Float64[np.ndarray, "4 3"]
     """Axes, normal and origin of the pane."""
+    places: Float32[np.ndarray, "2 rows columns"]
+    """Places of the cells in pane coordinates (m); `_NOWHERE` for rays that meet no pane."""
     radii: Float64[np.ndarray, " rows"]
     """Radius of the circle of confusion in each row, in cells."""
 
@@ -169,15 +178,26 @@ def _pane_grid(
     radii = _circles_px(pane, lens, camera, y) / (2 * cell_px)
     view = np.array([fx, fy, cx, cy, cell_px, margin])
     axes = np.stack([pane.right, pane.up, pane.normal, pane.origin_m])
-    return _PaneGrid(cell_px, margin, (rows, columns), view, axes, radii)
+    places = np.empty((2, rows, columns), np.float32)
+    _fill_places(view, axes, places)
+    return _PaneGrid(cell_px, margin, (rows, columns), view, axes, places, radii)
 
 
 @lru_cache(maxsize=8)
-def _dirt(grid: _PaneGrid, seed: int) -> Float32[np.ndarray, "rows columns"]:
-    """Coverage of the glass by dirt of an amount of 1, where no wiper reaches."""
+def _dirt(grid: _PaneGrid, seed: int, is_wiped: bool) -> Float32[np.ndarray, "rows columns"]:
+    """Coverage of the glass by dirt of an amount of 1, less of it where a wiper reaches."""
     coverage = np.zeros(grid.size, np.float32)
-    _draw_dirt(coverage, grid.view, grid.axes, np.uint32(seed))
+    _draw_dirt(grid.places, np.uint32(seed), is_wiped, coverage)
     return coverage
+
+
+def _film_share(depth_m: Float32[np.ndarray, "n m"]) -> Float32[np.ndarray, "n m"]:
+    """Share of the light that a film spreads."""
+    share = np.multiply(depth_m, np.float32(-1 / _FILM_M))
+    np.exp(share, out=share)
+    share -= 1
+    share *= np.float32(-_FILM_SHARE)
+    return share
 
 
 def _edges_px(camera: Camera) -> Float64[np.ndarray, "2"]:
@@ -245,7 +265,7 @@ def _shrunk(image: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "r c 3"]:
 
 def _pyramid(picture: UInt8[np.ndarray, "h w 3"]) -> tuple[Float32[np.ndarray, "texels 3"], Int64[np.ndarray, "n 3"]]:
     """Linear light of a picture at resolutions that halve; and first texel, width and height of each."""
-    level, levels, starts, first = _linear_levels()[picture], [], [], 0
+    level, levels, starts, first = cv2.LUT(picture, _linear_levels()), [], [], 0
     while True:
         height, width = level.shape[:2]
         levels.append(level.reshape(-1, 3))
@@ -428,7 +448,6 @@ def _look_up(levels, starts, level, x, y, found):
 def _draw_drops(layer, drops, boxes, outlines, row_starts, members, view, axes, source, levels, starts, sphere, depth):
     fx, fy, cx, cy, cell, margin = view
     to_pane = axes[3, 0] * axes[2, 0] + axes[3, 1] * axes[2, 1] + axes[3, 2] * axes[2, 2]
-    most = 1.0 if cell == 1 else np.inf  # cells that are averaged may stand for more than their own area
     for row in numba.prange(layer.shape[0]):
         color = np.empty(3)
         y = ((row + 0.5 - margin) * cell - cy) / fy
@@ -454,9 +473,11 @@ def _draw_drops(layer, drops, boxes, outlines, row_starts, members, view, axes, 
                 along = (cos_turn * v - sin_turn * u) * stretch
                 distance = np.sqrt(across * across + along * along)
                 share = 1.0
-                if cells < 1.0:  # smaller than a cell: its area, around its place
-                    share = max(1.0 - abs(u) * cells, 0.0) * max(1.0 - abs(v) * cells, 0.0) * np.pi * cells * cells
-                    share = min(share, most)
+                if cells < 1.0:  # smaller than a cell, or little larger: its area, as a square around its place
+                    side = np.sqrt(np.pi) * cells
+                    half = 0.5 + 0.5 * max(side, 1.0)
+                    share = min(max(half - abs(u) * cells, 0.0), 1.0) * min(max(half - abs(v) * cells, 0.0), 1.0)
+                    share *= min(side * side, 1.0)
                     shrink = 0.6 / max(distance, 0.6)
                     u, v = u * shrink, v * shrink
                 else:
@@ -524,72 +545,97 @@ def _place(x, y, plane):
     return u, path * (x * up[0] + (y * up[1] + up[2])) - origin[1], along > 0.01
 
 
+@numba.njit(cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
+@no_type_check
+def _fill_places(view, axes, places):
+    fx, fy, cx, cy, cell, margin = view
+    plane = _plane(axes)
+    for row in range(places.shape[1]):
+        y = ((row + 0.5 - margin) * cell - cy) / fy
+        for column in range(places.shape[2]):
+            u, v, is_met = _place(((column + 0.5 - margin) * cell - cx) / fx, y, plane)
+            places[0, row, column] = u if is_met else _NOWHERE
+            places[1, row, column] = v if is_met else _NOWHERE
+
+
 @numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
 @no_type_check
-def _draw_dirt(coverage, view, axes, seed):
-    fx, fy, cx, cy, cell, margin = view
+def _draw_dirt(places, seed, is_wiped, coverage):
     for row in numba.prange(coverage.shape[0]):
-        plane = _plane(axes)
         coarse, fine = np.full(6, np.inf), np.full(6, np.inf)
-        y = ((row + 0.5 - margin) * cell - cy) / fy
         for column in range(coverage.shape[1]):
-            u, v, is_met = _place(((column + 0.5 - margin) * cell - cx) / fx, y, plane)
-            if not is_met:
+            u, v = np.float64(places[0, row, column]), np.float64(places[1, row, column])
+            if u == _NOWHERE:
                 continue
             spots = 0.6 * _noise(u, v, _DIRT_M[0], seed, coarse)
             spots += 0.4 * _noise(u, v, _DIRT_M[1], seed + np.uint32(1), fine)
-            coverage[row, column] = _DIRT_SHARE * (0.3 + 1.4 * max(spots - 0.25, 0.0))
+            share = _DIRT_SHARE * (0.3 + 1.4 * max(spots - 0.25, 0.0))
+            from_pivot = np.hypot(u - PIVOT_M[0], v - PIVOT_M[1])
+            coverage[row, column] = share * (_WIPED_SHARE if is_wiped and INNER_M <= from_pivot <= OUTER_M else 1.0)
 
 
 @numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
 @no_type_check
-def _draw_veil(layer, view, axes, low, film, film_cell, amount, dirt, blade, blurred, mean):
+def _sample_film(places, low, film, film_cell, depth):
+    """Interpolate the film's depth; none outside of it."""
+    low_u, low_v, points_m = np.float32(low[0]), np.float32(low[1]), np.float32(1 / film_cell)
+    wide, tall, one = np.float32(film.shape[1] - 1), np.float32(film.shape[0] - 1), np.float32(1)
+    for row in numba.prange(depth.shape[0]):
+        for column in range(depth.shape[1]):
+            x, y = (places[0, row, column] - low_u) * points_m, (places[1, row, column] - low_v) * points_m
+            found = np.float32(0)
+            if (x >= 0) & (y >= 0) & (x < wide) & (y < tall):
+                i, j = np.uint32(np.int32(x)), np.uint32(np.int32(y))
+                right, above = x - np.float32(i), y - np.float32(j)
+                lower = film[j, i] * (one - right) + film[j, i + np.uint32(1)] * right
+                upper = film[j + np.uint32(1), i] * (one - right) + film[j + np.uint32(1), i + np.uint32(1)] * right
+                found = lower * (one - above) + upper * above
+            depth[row, column] = found
+
+
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
+@no_type_check
+def _draw_veil(layer, places, wet, dirt, amount, blade, margin, blurred, mean):
     """Add film and dirt, which spread light, and the blade, which hides it."""
-    fx, fy, cx, cy, cell, margin = view
-    step, first = cell / fx, cx / fx
     tall, wide = blurred.shape[0], blurred.shape[1]
-    down, across = tall / (layer.shape[0] - 2 * margin), wide / (layer.shape[1] - 2 * margin)
-    to_u, to_v, points_m = np.cos(blade), np.sin(blade), 1.0 / film_cell
+    down = np.float32(tall / (layer.shape[0] - 2 * margin))
+    across = np.float32(wide / (layer.shape[1] - 2 * margin))
+    to_u, to_v = np.float32(np.cos(blade)), np.float32(np.sin(blade))
+    zero, half, one, thousand = np.float32(0), np.float32(0.5), np.float32(1), np.float32(1000)
+    pivot_u, pivot_v, amount = np.float32(PIVOT_M[0]), np.float32(PIVOT_M[1]), np.float32(amount)
+    inner, outer = np.float32(INNER_M**2), np.float32(OUTER_M**2)
+    red, green, blue = np.float32(mean[0]), np.float32(mean[1]), np.float32(mean[2])
+    near = np.float32(0.7)
+    far_red, far_green, far_blue = (one - near) * red, (one - near) * green, (one - near) * blue
     for row in numba.prange(layer.shape[0]):
-        plane, y = _plane(axes), ((row + 0.5 - margin) * cell - cy) / fy
+        j = min(max(int((np.float32(row - margin) + half) * down), 0), tall - 1)
+        covers = np.zeros(layer.shape[1], np.float32)
+        if blade >= 0.0:
+            for column in range(layer.shape[1]):
+                du, dv = places[0, row, column] - pivot_u, places[1, row, column] - pivot_v
+                square = du * du + dv * dv
+                width = np.float32(0.5 * BLADE_M) if square > inner else np.float32(0.5 * _ARM_M)
+                is_there = (square < outer) & (du * to_u + dv * to_v > 0)
+                part = min(max((width - abs(dv * to_u - du * to_v)) * thousand + half, zero), one)
+                covers[column] = part if is_there else zero
         for column in range(layer.shape[1]):
-            u, v, is_met = _place((column + 0.5 - margin) * step - first, y, plane)
-            if not is_met:
-                continue
-            du, dv = u - PIVOT_M[0], v - PIVOT_M[1]
-            square = du * du + dv * dv
-            dirty = 0.0
-            if len(dirt) > 0:
-                dirty = amount * dirt[row, column]
-                if blade >= 0.0 and INNER_M * INNER_M <= square <= OUTER_M * OUTER_M:
-                    dirty *= _WIPED_SHARE
-            film_x, film_y = (u - low[0]) * points_m, (v - low[1]) * points_m
-            depth = 0.0
-            if 0.0 <= film_x < film.shape[1] - 1 and 0.0 <= film_y < film.shape[0] - 1:
-                i, j = int(film_x), int(film_y)
-                right, above = film_x - i, film_y - j
-                upper = film[j + 1, i] * (1 - right) + film[j + 1, i + 1] * right
-                depth = (film[j, i] * (1 - right) + film[j, i + 1] * right) * (1 - above) + upper * above
-            wet = _FILM_SHARE * (1.0 - np.exp(-depth / _FILM_M)) if depth > 0.0 else 0.0
-            covered = 0.0
-            if blade >= 0.0 and square < OUTER_M * OUTER_M:
-                half = 0.5 * (BLADE_M if square > INNER_M * INNER_M else _ARM_M)
-                if du * to_u + dv * to_v > 0.0:
-                    off = abs(dv * to_u - du * to_v)
-                    covered = min(max((half - off) / 0.001 + 0.5, 0.0), 1.0)
-            if dirty + wet + covered <= 0.0:
+            covered, spread = covers[column], wet[row, column]
+            dirty = amount * dirt[row, column] if len(dirt) > 0 else zero
+            if dirty + spread + covered <= 0:
                 continue
             # The film, and dirt in front of it, spread the light of what is around.
-            i = min(max(int((column + 0.5 - margin) * across), 0), wide - 1)
-            j = min(max(int((row + 0.5 - margin) * down), 0), tall - 1)
-            around = (1.0 - layer[row, column, 3]) * (1.0 - covered) * wet
-            for channel in range(3):
-                # The blade is all that drops under it refract.
-                light = (1.0 - covered) * layer[row, column, channel] + covered * _BLADE_LIGHT
-                light += around * (0.7 * blurred[j, i, channel] + 0.3 * mean[channel])
-                layer[row, column, channel] = light * (1.0 - dirty) + dirty * mean[channel]
-            clear = (1.0 - layer[row, column, 3]) * (1.0 - covered) * (1.0 - wet) * (1.0 - dirty)
-            layer[row, column, 3] = 1.0 - clear
+            i = min(max(int((np.float32(column - margin) + half) * across), 0), wide - 1)
+            cell, spreads = layer[row, column], blurred[j, i]
+            # The blade is all that drops under it refract.
+            open_share, clean = one - covered, one - dirty
+            around, black = (one - cell[3]) * open_share * spread, covered * np.float32(_BLADE_LIGHT)
+            light = open_share * cell[0] + black + around * (near * spreads[0] + far_red)
+            cell[0] = light * clean + dirty * red
+            light = open_share * cell[1] + black + around * (near * spreads[1] + far_green)
+            cell[1] = light * clean + dirty * green
+            light = open_share * cell[2] + black + around * (near * spreads[2] + far_blue)
+            cell[2] = light * clean + dirty * blue
+            cell[3] = one - (one - cell[3]) * open_share * (one - spread) * clean
 
 
 @numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)

@@ -4,13 +4,13 @@ Lamps so get the long streaks that drivers know from wiped windshields, and the 
 what is dark. All directions are those of lines through the wiper's pivot, as the camera sees it.
 """
 
-from functools import cache
+from functools import cache, lru_cache
 from typing import no_type_check
 
 import cv2
 import numba
 import numpy as np
-from jaxtyping import Float32, Float64, UInt8, UInt32
+from jaxtyping import Float32, Int32, UInt8
 
 from ..kernels import NOGIL
 from ..scene.camera import Camera
@@ -49,13 +49,17 @@ def lamp_streaks(
     rows, columns = image.shape[0] // SHRINK, image.shape[1] // SHRINK
     if min(rows, columns) < 2:
         return None
-    lamps = np.empty((rows, columns, 3), np.float32)
-    image = np.ascontiguousarray(image)
-    if not _find_lamps(image, _bright(image), _light_of_lamps(), lamps):
+    lamps, counts = np.empty((rows, columns, 3), np.float32), np.empty(rows, np.int64)
+    _find_lamps(np.ascontiguousarray(image), _light_of_lamps(), lamps, counts)
+    lit = np.flatnonzero(counts)
+    if not len(lit):
         return None
     made, (x, y, z) = np.zeros_like(lamps), pivot
-    around = cv2.blur(lamps, (_WIDE, _WIDE))
-    _draw_streaks(made, lamps, around, np.array([x / SHRINK, y / SHRINK, z]), SPREAD_RAD * focal_px / SHRINK)
+    first = max(int(lit[0]) - _WIDE // 2, 0)
+    near = lamps[first : int(lit[-1]) + _WIDE // 2 + 1]  # all that a window around a lamp has
+    around = cv2.blur(near, (_WIDE, _WIDE))
+    length = SPREAD_RAD * focal_px / SHRINK
+    _draw_streaks(made, near, around, first, lit, np.array([x / SHRINK, y / SHRINK, z]), length)
     return made
 
 
@@ -64,34 +68,39 @@ def smeared(
 ) -> Float32[np.ndarray, "r c 3"]:
     """Blur a picture, of a pixel for `shrink` of them, along the lines through the pivot."""
     made = np.empty_like(light)
-    x, y, z = pivot
-    _smear(light, np.array([x / shrink, y / shrink, z]), SPREAD_RAD * focal_px / shrink, made)
+    _smear(light.reshape(-1, 3), *_taps(light.shape[0], light.shape[1], pivot, focal_px, shrink), made.reshape(-1, 3))
     return made
+
+
+@lru_cache(maxsize=8)
+def _taps(
+    rows: int, columns: int, pivot: tuple[float, float, float], focal_px: float, shrink: float
+) -> tuple[Int32[np.ndarray, "pixels taps"], Float32[np.ndarray, " taps"]]:
+    """Pixels of which the smeared one is the weighted mean, and their weights; the same for all frames of a camera."""
+    x, y, z = pivot
+    length = SPREAD_RAD * focal_px / shrink
+    step = max(_REACH * length / _TAPS, 1e-3)
+    weights = np.exp(-np.abs(np.arange(-_TAPS, _TAPS + 1)) * step / length)
+    taps = np.empty((rows * columns, len(weights)), np.int32)
+    _fill_taps(rows, columns, np.array([x / shrink, y / shrink, z]), step, taps)
+    return taps, (weights / weights.sum()).astype(np.float32)
 
 
 def add_streaks(
     layer: Float32[np.ndarray, "rows columns 4"],
     streaks: Float32[np.ndarray, "r c 3"],
-    view: Float64[np.ndarray, "6"],
-    axes: Float64[np.ndarray, "4 3"],
+    places: Float32[np.ndarray, "2 rows columns"],
+    cell_px: int,
+    margin: int,
     low_m: tuple[float, float],
-    film_m: Float32[np.ndarray, "n m"],
+    film_share: Float32[np.ndarray, "n m"],
     film_cell_m: float,
-    share: tuple[float, float],
 ) -> None:
-    """Add streaks to the light on a pane, as far as it is wiped, by the film on it.
+    """Add streaks to the light on a pane, as far as it is wiped, by the share of light that the film spreads.
 
-    `share` is the greatest share of light that a film spreads, and the depth at which 1 - 1/e of it is reached.
+    `places` are those of the layer's cells in pane coordinates; `margin` cells on each side are outside of the picture.
     """
-    _add_streaks(layer, streaks, view, axes, np.array(low_m), film_m, film_cell_m, *share)
-
-
-def _bright(image: UInt8[np.ndarray, "h w 3"]) -> UInt32[np.ndarray, "r c3"]:
-    """Three words for a pixel of the glare, all 0 where no value is above `_FROM`: OpenCV compares whole vectors."""
-    rows, columns = image.shape[0] // SHRINK, image.shape[1] // SHRINK
-    values = image[: SHRINK * rows, : SHRINK * columns].reshape(rows, SHRINK, -1)
-    highest = cv2.max(cv2.max(values[:, 0], values[:, 1]), cv2.max(values[:, 2], values[:, 3]))
-    return cv2.threshold(highest, _FROM, 255, cv2.THRESH_BINARY)[1].view(np.uint32)
+    _add_streaks(layer, streaks, places, cell_px, margin, np.array(low_m), film_share, film_cell_m)
 
 
 @cache
@@ -107,16 +116,25 @@ def _light_of_lamps() -> Float32[np.ndarray, "256 2"]:
 
 @numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
-def _find_lamps(image, bright, tables, lamps):
-    """Write the mean light of lamps of each pixel of the glare; returns the number of pixels with any."""
-    side, found = SHRINK, 0
+def _find_lamps(image, tables, lamps, counts):
+    """Write the mean light of lamps of each pixel of the glare, and the number of those with any in each row."""
+    side, values = SHRINK, 3 * SHRINK * lamps.shape[1]
     for row in numba.prange(lamps.shape[0]):
         lamps[row] = 0
+        counts[row] = 0
+        # Three words for a pixel of the glare, all 0 where no value is above `_FROM`: whole vectors are compared.
+        bright, first = np.empty(values, np.uint8), side * row
+        one, two = image[first].reshape(-1), image[first + 1].reshape(-1)
+        three, four = image[first + 2].reshape(-1), image[first + 3].reshape(-1)
+        for i in range(values):
+            is_bright = (one[i] > _FROM) | (two[i] > _FROM) | (three[i] > _FROM) | (four[i] > _FROM)
+            bright[i] = np.uint8(is_bright)
+        words = bright.view(np.uint32)
         for column in range(lamps.shape[1]):
-            if (bright[row, 3 * column] | bright[row, 3 * column + 1] | bright[row, 3 * column + 2]) == 0:
+            if (words[3 * column] | words[3 * column + 1] | words[3 * column + 2]) == 0:
                 continue
             red = green = blue = np.float32(0)
-            for y in range(side * row, side * row + side):
+            for y in range(first, first + side):
                 for x in range(side * column, side * column + side):
                     r, g, b = image[y, x, 0], image[y, x, 1], image[y, x, 2]
                     brightest = max(r, g, b)
@@ -128,9 +146,7 @@ def _find_lamps(image, bright, tables, lamps):
             part = np.float32(1 / (side * side))
             lamps[row, column, 0], lamps[row, column, 1] = part * red, part * green
             lamps[row, column, 2] = part * blue
-            if red + green + blue > 0:
-                found += 1
-    return found
+            counts[row] += np.int64(red + green + blue > 0)
 
 
 @numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
@@ -144,15 +160,19 @@ def _direction(x, y, pivot):
 
 @numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
-def _draw_streaks(made, lamps, around, pivot, length):
-    """Draw the streak of each pixel that is brighter than three times the mean around it, which windows are not."""
-    for row in range(lamps.shape[0]):
+def _draw_streaks(made, lamps, around, first, lit, pivot, length):
+    """Draw the streak of each pixel that is brighter than three times the mean around it, which windows are not.
+
+    Rows of lamps begin with row `first` of the glare, of which those in `lit` have any.
+    """
+    for row in lit:
         for column in range(lamps.shape[1]):
+            lamp, mean = lamps[row - first, column], around[row - first, column]
             brightest = np.float32(0)
             for channel in range(3):
-                brightest = max(brightest, lamps[row, column, channel] - _OVER * around[row, column, channel])
+                brightest = max(brightest, lamp[channel] - _OVER * mean[channel])
             if brightest > _LEAST:
-                _draw_streak(made, row, column, lamps[row, column], around[row, column], pivot, length)
+                _draw_streak(made, row, column, lamp, mean, pivot, length)
 
 
 @numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
@@ -177,44 +197,41 @@ def _draw_streak(made, from_row, from_column, lamp, around, pivot, length):
                 made[i, j, channel] += share * max(lamp[channel] - _OVER * around[channel], np.float32(0))
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
-def _smear(light, pivot, length, made):
-    height, width = light.shape[0], light.shape[1]
-    step = max(_REACH * length / _TAPS, 1e-3)
-    weights = np.empty(2 * _TAPS + 1)
-    for k in range(-_TAPS, _TAPS + 1):
-        weights[k + _TAPS] = np.exp(-abs(k) * step / length)
-    total = weights.sum()
-    for row in numba.prange(height):
-        for column in range(width):
+def _fill_taps(rows, columns, pivot, step, taps):
+    for row in range(rows):
+        for column in range(columns):
             dx, dy = _direction(column + 0.5, row + 0.5, pivot)
-            red = green = blue = 0.0
             for k in range(-_TAPS, _TAPS + 1):
-                weight = weights[k + _TAPS]
-                x = min(max(column + k * step * dx, 0.0), width - 1.0)
-                y = min(max(row + k * step * dy, 0.0), height - 1.0)
-                i, j = int(y + 0.5), int(x + 0.5)
-                red += weight * light[i, j, 0]
-                green += weight * light[i, j, 1]
-                blue += weight * light[i, j, 2]
-            made[row, column, 0], made[row, column, 1] = red / total, green / total
-            made[row, column, 2] = blue / total
+                x = min(max(column + k * step * dx, 0.0), columns - 1.0)
+                y = min(max(row + k * step * dy, 0.0), rows - 1.0)
+                taps[row * columns + column, k + _TAPS] = int(y + 0.5) * columns + int(x + 0.5)
 
 
 @numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
-def _add_streaks(layer, streaks, view, axes, low, film, film_cell, largest, depth_m):
-    fx, fy, cx, cy, cell, margin = view
+def _smear(light, taps, weights, made):
+    for pixel in numba.prange(len(taps)):
+        red = green = blue = np.float32(0)
+        for k in range(2 * _TAPS + 1):
+            weight, at = weights[k], np.uint32(taps[pixel, k])
+            red += weight * light[at, 0]
+            green += weight * light[at, 1]
+            blue += weight * light[at, 2]
+        made[pixel, 0], made[pixel, 1], made[pixel, 2] = red, green, blue
+
+
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@no_type_check
+def _add_streaks(layer, streaks, places, cell, margin, low, film_share, film_cell):
     last_row, last_column = streaks.shape[0] - 1, streaks.shape[1] - 1
     for row in numba.prange(layer.shape[0]):
-        y_px = (row + 0.5 - margin) * cell
-        y, at_y = (y_px - cy) / fy, min(max(y_px / SHRINK - 0.5, 0.0), last_row - 1e-3)
+        at_y = min(max((row + 0.5 - margin) * cell / SHRINK - 0.5, 0.0), last_row - 1e-3)
         i = int(at_y)
-        below = at_y - i
+        below = np.float32(at_y - i)
         for column in range(layer.shape[1]):
-            x_px = (column + 0.5 - margin) * cell
-            at_x = min(max(x_px / SHRINK - 0.5, 0.0), last_column - 1e-3)
+            at_x = min(max((column + 0.5 - margin) * cell / SHRINK - 0.5, 0.0), last_column - 1e-3)
             j = int(at_x)
             brightest = np.float32(0)
             for channel in range(3):
@@ -222,28 +239,18 @@ def _add_streaks(layer, streaks, view, axes, low, film, film_cell, largest, dept
                     brightest = max(brightest, streaks[i + corner // 2, j + corner % 2, channel])
             if brightest < 1e-4:
                 continue
-            right = at_x - j
-            x = (x_px - cx) / fx
-            along = x * axes[2, 0] + y * axes[2, 1] + axes[2, 2]
-            if along <= 0.01:
+            u, v = places[0, row, column], places[1, row, column]
+            if not INNER_M <= np.hypot(u - PIVOT_M[0], v - PIVOT_M[1]) <= OUTER_M:
                 continue
-            path = (axes[3, 0] * axes[2, 0] + axes[3, 1] * axes[2, 1] + axes[3, 2] * axes[2, 2]) / along
-            px, py, pz = path * x - axes[3, 0], path * y - axes[3, 1], path - axes[3, 2]
-            u = px * axes[0, 0] + py * axes[0, 1] + pz * axes[0, 2]
-            v = px * axes[1, 0] + py * axes[1, 1] + pz * axes[1, 2]
-            from_pivot = np.hypot(u - PIVOT_M[0], v - PIVOT_M[1])
-            if not INNER_M <= from_pivot <= OUTER_M:
-                continue
-            # The lens is open: it averages the film over a few of its cells.
-            depth = 0.0
-            k, m = int((v - low[1]) / film_cell), int((u - low[0]) / film_cell)
-            for other in range(max(k - 1, 0), min(k + 2, film.shape[0])):
-                for near in range(max(m - 1, 0), min(m + 2, film.shape[1])):
-                    depth += film[other, near] / 9.0
-            share = _RESIDUE + largest * (1.0 - np.exp(-depth / depth_m))
-            share *= 1.0 - layer[row, column, 3]
+            share, right = np.float32(_RESIDUE), np.float32(at_x - j)
+            k, m = int(np.floor((v - low[1]) / film_cell)), int(np.floor((u - low[0]) / film_cell))
+            if 0 <= k < film_share.shape[0] and 0 <= m < film_share.shape[1]:
+                share += film_share[k, m]
+            share *= 1 - layer[row, column, 3]
             for channel in range(3):
-                upper = (1 - right) * streaks[i, j, channel] + right * streaks[i, j + 1, channel]
-                lower = (1 - right) * streaks[i + 1, j, channel] + right * streaks[i + 1, j + 1, channel]
-                layer[row, column, channel] += np.float32(share * ((1 - below) * upper + below * lower))
+                upper = streaks[i, j, channel] + right * (streaks[i, j + 1, channel] - streaks[i, j, channel])
+                lower = streaks[i + 1, j, channel] + right * (
+                    streaks[i + 1, j + 1, channel] - streaks[i + 1, j, channel]
+                )
+                layer[row, column, channel] += share * (upper + below * (lower - upper))
             layer[row, column, 3] = max(layer[row, column, 3], _COVERS)
