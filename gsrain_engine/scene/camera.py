@@ -56,7 +56,7 @@ class Camera:
     @property
     def position(self) -> Float64[np.ndarray, "3"]:
         """Center of projection in the world."""
-        return self.camera_to_world[:3, 3]
+        return -self.world_to_camera[:3, :3].T @ self.world_to_camera[:3, 3]
 
     @property
     def rounded_intrinsics(self) -> tuple[float, float, float, float]:

@@ -106,13 +106,10 @@ def thinned(
     is a similarity, and `intrinsics` are focal lengths, principal point and size of a pinhole image.
     """
     fx, fy, cx, cy, width, height = intrinsics
-    unit = float(np.cbrt(abs(np.linalg.det(to_camera[:3, :3]))))
     slopes = (max(cx, width - cx) + _BLUR_PX) / fx, (max(cy, height - cy) + _BLUR_PX) / fy
     members, scales = np.empty(len(gaussians), np.int64), np.zeros_like(gaussians.scales)
     to_camera = np.ascontiguousarray(to_camera, np.float64)
-    eye = -np.linalg.solve(to_camera[:3, :3], to_camera[:3, 3])
-    by_area = fx * fy / least_px2
-    count = _thin(_areas(gaussians), gaussians.scales, to_camera, eye, unit, by_area, slopes, members, scales)
+    count = _thin(_areas(gaussians), gaussians.scales, to_camera, fx * fy / least_px2, slopes, members, scales)
     return members[:count], scales
 
 
@@ -131,11 +128,16 @@ def _areas(gaussians: Gaussians) -> Float32[np.ndarray, "5 n"]:
 
 @numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
-def _thin(lines, scales, m, eye, unit, by_area, slopes, members, thinned):
+def _thin(lines, scales, m, by_area, slopes, members, thinned):
     slope_x, slope_y = slopes
     aside_x, aside_y = np.sqrt(1 + slope_x * slope_x), np.sqrt(1 + slope_y * slope_y)
     areas, ranks, xs, ys, zs = lines[0], lines[1], lines[2], lines[3], lines[4]
-    by_area, eye_x, eye_y, eye_z = np.float32(by_area), np.float32(eye[0]), np.float32(eye[1]), np.float32(eye[2])
+    # The camera's place among the Gaussians, whose unit is as long as the first column.
+    square = m[0, 0] * m[0, 0] + m[1, 0] * m[1, 0] + m[2, 0] * m[2, 0]
+    unit, by_area = np.sqrt(square), np.float32(by_area)
+    eye_x = np.float32(-(m[0, 0] * m[0, 3] + m[1, 0] * m[1, 3] + m[2, 0] * m[2, 3]) / square)
+    eye_y = np.float32(-(m[0, 1] * m[0, 3] + m[1, 1] * m[1, 3] + m[2, 1] * m[2, 3]) / square)
+    eye_z = np.float32(-(m[0, 2] * m[0, 3] + m[1, 2] * m[1, 3] + m[2, 2] * m[2, 3]) / square)
     near = np.empty(len(areas), np.float32)
     for i in range(len(near)):  # vectorized
         x, y, z = xs[i] - eye_x, ys[i] - eye_y, zs[i] - eye_z

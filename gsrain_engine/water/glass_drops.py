@@ -3,7 +3,8 @@
 Every impact is a function of (seed, tick, number), so that replaying the same past gives the same drops.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from typing import no_type_check
 
 import numba
@@ -38,7 +39,7 @@ its direction, volume for the next bead of the trail, path since the last one, a
 LANDED, LEFT, IMPACTS = range(3)  # of `GlassDrops.totals`: m^3, m^3, number
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Impacts:
     """Drops that land on a pane per second, by class."""
 
@@ -50,22 +51,19 @@ class Impacts:
     """Speed along the inward normal by falling, of each class."""
     volumes_m3: Float64[np.ndarray, " classes"]
     area_m2: float
-    _sums: list[Float64[np.ndarray, " sums"]] = field(default_factory=list[Float64[np.ndarray, " sums"]], init=False)
 
-    @property
+    @cached_property
     def sums(self) -> Float64[np.ndarray, " sums"]:
         """Impacts per second of all classes below each."""
-        if not self._sums:
-            rates = self.density_m3 * self.area_m2 * np.maximum(self.shift_m_s + self.normal_fall_m_s, 0.0)
-            self._sums.append(np.concatenate([np.zeros(1), np.cumsum(rates)]))
-        return self._sums[0]
+        rates = self.density_m3 * self.area_m2 * np.maximum(self.shift_m_s + self.normal_fall_m_s, 0.0)
+        return np.concatenate([np.zeros(1), np.cumsum(rates)])
 
     @property
     def rate_s(self) -> float:
         """Expected impacts per second: the integral of the flux over the pane."""
         return float(self.sums[-1])
 
-    @property
+    @cached_property
     def water_m_s(self) -> float:
         """Depth of water that lands per second."""
         return float(np.sum(np.diff(self.sums) * self.volumes_m3)) / self.area_m2

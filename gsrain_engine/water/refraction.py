@@ -17,7 +17,7 @@ from jaxtyping import Float32, Float64, Int64, UInt8
 from ..kernels import NOGIL
 from ..rain.pcg_hash import pcg4d_scalar
 from ..scene.camera import Camera
-from ..scene.geometry import linear_to_srgb, srgb_to_linear
+from ..scene.geometry import srgb_to_linear
 from ..scene.sensor import ThinLens
 from .glass_drops import RADIUS, SHAPE, SPEED, TO_U, TO_V, U, V
 from .pane import Pane
@@ -41,7 +41,6 @@ _DIRT_SHARE, _WIPED_SHARE = 0.2, 0.3  # coverage of dirt of 1, and what wipers l
 _DIRT_M = 0.009, 0.0023  # sizes of spots
 _BLADE_LIGHT, _ARM_M = 0.01, 0.006
 _NOWHERE = np.float32(1e6)
-_TONES = 1 << 14
 _FAST = {"contract", "nsz", "arcp"}  # fused multiply-add and reciprocals, but no change of infinities or order
 
 
@@ -102,7 +101,7 @@ class GlassView:
         """Return a picture (sRGB) as it is through the glass; it has the camera's size."""
         layer, cell_px, margin = self.layer(image)
         made = np.empty_like(image)
-        _composite(np.ascontiguousarray(image), layer, cell_px, margin, _linear_levels(), _tone_table(), made)
+        _composite(np.ascontiguousarray(image), layer, cell_px, margin, made)
         return made
 
     def layer(self, image: UInt8[np.ndarray, "h w 3"]) -> tuple[Float32[np.ndarray, "rows columns 4"], int, int]:
@@ -122,8 +121,8 @@ class GlassView:
             boxes, outlines = _boxes(glass.drops, grid.view, grid.axes, rows, columns, wide.fx, len(starts))
             row_starts, members = _members(boxes, rows)
             _draw_drops(
-                layer, glass.drops, boxes, outlines, row_starts, members, grid.view, grid.axes, source, levels, starts,
-                *_cap(glass.contact_angle_deg),
+                layer, glass.drops, boxes, outlines, row_starts, members, grid.view, grid.axes, grid.places, source,
+                levels, starts, *_cap(glass.contact_angle_deg),
             )  # fmt: skip
         blurred = _shrunk(image)
         pivot = pivot_px(pane, camera)
@@ -246,13 +245,6 @@ def _cap(contact_angle_deg: float) -> tuple[float, float]:
 @cache
 def _linear_levels() -> Float32[np.ndarray, "256"]:
     return srgb_to_linear(np.arange(256) / 255).astype(np.float32)
-
-
-@cache
-def _tone_table() -> UInt8[np.ndarray, " n"]:
-    """Display levels of light 0..2 in steps of 1 / (`_TONES` - 1): what drops add may lead beyond white."""
-    light = np.minimum(np.arange(2 * _TONES) / (_TONES - 1), 1)
-    return np.rint(255 * linear_to_srgb(light)).astype(np.uint8)
 
 
 def _shrunk(image: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "r c 3"]:
@@ -445,35 +437,27 @@ def _look_up(levels, starts, level, x, y, found):
 
 @numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
 @no_type_check
-def _draw_drops(layer, drops, boxes, outlines, row_starts, members, view, axes, source, levels, starts, sphere, depth):
+def _draw_drops(
+    layer, drops, boxes, outlines, row_starts, members, view, axes, places, source, levels, starts, sphere, depth
+):
     fx, fy, cx, cy, cell, margin = view
-    to_pane = axes[3, 0] * axes[2, 0] + axes[3, 1] * axes[2, 1] + axes[3, 2] * axes[2, 2]
     for row in numba.prange(layer.shape[0]):
         color = np.empty(3)
         y = ((row + 0.5 - margin) * cell - cy) / fy
         for at in range(row_starts[row], row_starts[row + 1]):
             k = members[at]
-            drop = drops[k]
+            center_u, center_v, by_radius = drops[k, U], drops[k, V], 1.0 / drops[k, RADIUS]
             cells, cos_turn, sin_turn, stretch = outlines[k, 0], outlines[k, 1], outlines[k, 2], outlines[k, 3]
             level = int(outlines[k, 4])
             for column in range(boxes[k, 2], boxes[k, 3] + 1):
-                x = ((column + 0.5 - margin) * cell - cx) / fx
-                length = np.sqrt(x * x + y * y + 1.0)
-                dz = (x * axes[2, 0] + y * axes[2, 1] + axes[2, 2]) / length
-                if dz <= 0.01:
-                    continue
-                path = to_pane / dz / length
-                px, py, pz = path * x - axes[3, 0], path * y - axes[3, 1], path - axes[3, 2]
-                u = (px * axes[0, 0] + py * axes[0, 1] + pz * axes[0, 2] - drop[U]) / drop[RADIUS]
-                v = (px * axes[1, 0] + py * axes[1, 1] + pz * axes[1, 2] - drop[V]) / drop[RADIUS]
-                du = (x * axes[0, 0] + y * axes[0, 1] + axes[0, 2]) / length
-                dv = (x * axes[1, 0] + y * axes[1, 1] + axes[1, 2]) / length
+                u = (places[0, row, column] - center_u) * by_radius
+                v = (places[1, row, column] - center_v) * by_radius
                 # Share of the cell inside of the outline; the ray of a cell on the edge is that of the drop's rim.
                 across = (cos_turn * u + sin_turn * v) / stretch
                 along = (cos_turn * v - sin_turn * u) * stretch
                 distance = np.sqrt(across * across + along * along)
                 share = 1.0
-                if cells < 1.0:  # smaller than a cell, or little larger: its area, as a square around its place
+                if cells < 1.0:  # about as small as a cell: its area, as a square around its place
                     side = np.sqrt(np.pi) * cells
                     half = 0.5 + 0.5 * max(side, 1.0)
                     share = min(max(half - abs(u) * cells, 0.0), 1.0) * min(max(half - abs(v) * cells, 0.0), 1.0)
@@ -487,8 +471,13 @@ def _draw_drops(layer, drops, boxes, outlines, row_starts, members, view, axes, 
                         share = inside
                     elif distance < 1.0:
                         share = min(inside, 1.0)
-                if share <= 0.0:
+                if share <= 0.0 or distance > 1e3:  # far off: the ray meets no pane
                     continue
+                x = ((column + 0.5 - margin) * cell - cx) / fx
+                short = 1.0 / np.sqrt(x * x + y * y + 1.0)
+                du = (x * axes[0, 0] + y * axes[0, 1] + axes[0, 2]) * short
+                dv = (x * axes[1, 0] + y * axes[1, 1] + axes[1, 2]) * short
+                dz = (x * axes[2, 0] + y * axes[2, 1] + axes[2, 2]) * short
                 weight, out_u, out_v, out_n = _trace(u, v, du, dv, dz, sphere, depth, cos_turn, sin_turn, stretch)
                 if weight < 0.0:
                     continue
@@ -688,45 +677,82 @@ def _add_chord(made, sums_to, to, right, sums_from, start, left, weight):
         made[n] += weight * (sums_to[n] - sums_from[n] + (right * to[n] - left * start[n]))
 
 
+_BANDS = 8  # between rows of cells, which a thread composites one after the other
+
+
 @numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
 @no_type_check
-def _composite(image, layer, cell, margin, linear, tones, made):
+def _composite(image, layer, cell, margin, made):
     """I (1 - c) + L, with the layer interpolated between the centers of its cells; cells have 1, 2, 4... pixels."""
-    height, width, top = image.shape[0], image.shape[1], np.float32(_TONES - 1)
-    half, step, one, last = np.float32(0.5), np.float32(1 / cell), np.uint32(1), 4 * layer.shape[1]
+    height, values = image.shape[0], 3 * image.shape[1]
+    bands = layer.shape[0] - 2 * margin + 1
+    for part in numba.prange((bands + _BANDS - 1) // _BANDS):
+        # Light, and the share of what is behind the glass, of each value of a row of pixels in the centers of a row of
+        # cells, and of the next one.
+        upper, upper_share = np.empty(values, np.float32), np.empty(values, np.float32)
+        lower, lower_share = np.empty(values, np.float32), np.empty(values, np.float32)
+        row = margin - 1 + part * _BANDS
+        covered = _fill_row(layer[row], cell, margin, lower, lower_share)
+        for band in range(part * _BANDS, min((part + 1) * _BANDS, bands)):
+            row = margin - 1 + band
+            first, before = cell * (row - margin) + cell // 2, covered
+            upper, upper_share, lower, lower_share = lower, lower_share, upper, upper_share
+            covered = _fill_row(layer[row + 1], cell, margin, lower, lower_share)
+            for y in range(max(first, 0), min(first + cell, height)):
+                pixels, target = image[y].reshape(values), made[y].reshape(values)
+                if max(covered, before) < np.float32(1e-4):
+                    target[:] = pixels
+                else:
+                    below = np.float32((y + 0.5) / cell - 0.5 + margin - row)
+                    _composite_row(pixels, upper, upper_share, lower, lower_share, below, target)
+
+
+@numba.njit(cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
+@no_type_check
+def _fill_row(cells, cell, margin, light, share):
+    """Interpolate a row of the layer for each value of a row of pixels; returns the largest coverage."""
+    width, step = len(light) // 3, np.float32(1 / cell)
     nearest = np.float32(0.5 / cell if cell > 1 else 0.0)  # from a cell's center to the first pixel after it, in cells
-    flat = layer.reshape(layer.shape[0], last)
-    for y in numba.prange(height):
-        place = np.float32((y + 0.5) / cell - 0.5) + np.float32(margin)
-        row = int(place)
-        below = place - np.float32(row)
-        between, upper, lower = np.empty(last, np.float32), flat[row], flat[row + 1]
-        for i in range(last):
-            between[i] = top * min(max(upper[i] + below * (lower[i] - upper[i]), np.float32(0)), np.float32(1))
-        pixels, target = image[y].reshape(3 * width), made[y].reshape(3 * width)
-        for column in range(margin - 1, layer.shape[1] - margin):
-            # Pixels between the centers of two cells.
-            first = cell * (column - margin) + cell // 2
-            start, end = max(first, 0), min(first + cell, width)
-            c, d = 4 * column, 4 * column + 4
-            covered, covered_next = between[c + 3], between[d + 3]
-            if max(covered, covered_next) < np.float32(1e-4) * top:
-                for i in range(3 * start, 3 * end):
-                    target[i] = pixels[i]
-                continue
-            right = nearest + step * np.float32(start - first)
-            red, green, blue, share = between[c], between[c + 1], between[c + 2], top - covered
-            more_red, more_green, more_blue = between[d] - red, between[d + 1] - green, between[d + 2] - blue
-            more = covered - covered_next
-            red, green = red + half + right * more_red, green + half + right * more_green
-            blue, share = blue + half + right * more_blue, share + right * more
-            more_red, more_green, more_blue, more = step * more_red, step * more_green, step * more_blue, step * more
-            # Nothing is negative, but Numba would look: it takes negative indices for those from the end.
-            i = np.uint32(3 * start)
-            for _ in range(end - start):
-                j, k = i + one, i + one + one
-                target[i] = tones[np.uint32(np.int32(linear[pixels[i]] * share + red))]
-                target[j] = tones[np.uint32(np.int32(linear[pixels[j]] * share + green))]
-                target[k] = tones[np.uint32(np.int32(linear[pixels[k]] * share + blue))]
-                red, green, blue, share = red + more_red, green + more_green, blue + more_blue, share + more
-                i = k + one
+    covered = np.float32(0)
+    for column in range(margin - 1, len(cells) - margin):
+        # Pixels between the centers of two cells.
+        first = cell * (column - margin) + cell // 2
+        start, end = max(first, 0), min(first + cell, width)
+        red, green, blue, cover = cells[column, 0], cells[column, 1], cells[column, 2], cells[column, 3]
+        more_red, more_green = cells[column + 1, 0] - red, cells[column + 1, 1] - green
+        more_blue, more = cells[column + 1, 2] - blue, cells[column + 1, 3] - cover
+        covered = max(covered, cover, cover + more)
+        for x in range(start, end):
+            right, i = nearest + step * np.float32(x - first), np.uint32(3 * x)
+            j, k = i + np.uint32(1), i + np.uint32(2)
+            light[i], light[j], light[k] = red + right * more_red, green + right * more_green, blue + right * more_blue
+            behind = np.float32(1) - (cover + right * more)
+            share[i] = share[j] = share[k] = behind
+    return covered
+
+
+@numba.njit(cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
+@no_type_check
+def _composite_row(pixels, upper, upper_share, lower, lower_share, below, target):
+    """Composite values of a row of pixels; sRGB to 0.13 levels, by polynomials instead of tables: LLVM vectorizes it.
+
+    Those are for linear light of levels above 10, and for levels of the root of light above the knee (least squares).
+    """
+    for i in range(len(pixels)):
+        level = np.float32(pixels[i])
+        p = np.float32(-2.729071e-11) * level + np.float32(3.159277e-08)
+        p = p * level + np.float32(8.642195e-06)
+        p = p * level + np.float32(1.101198e-04)
+        p = p * level + np.float32(1.063604e-03)
+        linear = p if level > np.float32(10.5) else level * np.float32(1 / (255 * 12.92))
+        share = upper_share[i] + below * (lower_share[i] - upper_share[i])
+        light = linear * share + (upper[i] + below * (lower[i] - upper[i]))
+        light = min(max(light, np.float32(0)), np.float32(1))
+        root = np.sqrt(light)
+        q = np.float32(131.8966) * root + np.float32(-413.9965)
+        q = q * root + np.float32(518.0257)
+        q = q * root + np.float32(-357.6934)
+        q = q * root + np.float32(387.0783)
+        q = q * root + np.float32(-10.22797 + 0.5)
+        rounded = q if light > np.float32(0.0031308) else light * np.float32(255 * 12.92) + np.float32(0.5)
+        target[i] = np.uint8(np.int32(rounded))

@@ -7,7 +7,6 @@ what is dark. All directions are those of lines through the wiper's pivot, as th
 from functools import cache, lru_cache
 from typing import no_type_check
 
-import cv2
 import numba
 import numpy as np
 from jaxtyping import Float32, Int32, UInt8
@@ -55,11 +54,7 @@ def lamp_streaks(
     if not len(lit):
         return None
     made, (x, y, z) = np.zeros_like(lamps), pivot
-    first = max(int(lit[0]) - _WIDE // 2, 0)
-    near = lamps[first : int(lit[-1]) + _WIDE // 2 + 1]  # all that a window around a lamp has
-    around = cv2.blur(near, (_WIDE, _WIDE))
-    length = SPREAD_RAD * focal_px / SHRINK
-    _draw_streaks(made, near, around, first, lit, np.array([x / SHRINK, y / SHRINK, z]), length)
+    _draw_streaks(made, lamps, lit, np.array([x / SHRINK, y / SHRINK, z]), SPREAD_RAD * focal_px / SHRINK)
     return made
 
 
@@ -160,30 +155,59 @@ def _direction(x, y, pivot):
 
 @numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
-def _draw_streaks(made, lamps, around, first, lit, pivot, length):
+def _draw_streaks(made, lamps, lit, pivot, length):
     """Draw the streak of each pixel that is brighter than three times the mean around it, which windows are not.
 
-    Rows of lamps begin with row `first` of the glare, of which those in `lit` have any.
+    Only the rows in `lit` have lamps.
     """
-    for row in lit:
+    sums, half = _sums_across(lamps, lit), _WIDE // 2
+    start, excess = 0, np.empty(3, np.float32)
+    for k in range(len(lit)):
+        row = lit[k]
+        while lit[start] < row - half:
+            start += 1
+        tall = min(row + half, lamps.shape[0] - 1) - max(row - half, 0) + 1
         for column in range(lamps.shape[1]):
-            lamp, mean = lamps[row - first, column], around[row - first, column]
-            brightest = np.float32(0)
+            if max(lamps[row, column, 0], lamps[row, column, 1], lamps[row, column, 2]) <= _LEAST:
+                continue
+            wide = min(column + half, lamps.shape[1] - 1) - max(column - half, 0) + 1
             for channel in range(3):
-                brightest = max(brightest, lamp[channel] - _OVER * mean[channel])
-            if brightest > _LEAST:
-                _draw_streak(made, row, column, lamp, mean, pivot, length)
+                total, other = 0.0, start
+                while other < len(lit) and lit[other] <= row + half:
+                    total += sums[other, column, channel]
+                    other += 1
+                excess[channel] = max(lamps[row, column, channel] - _OVER * total / (tall * wide), 0.0)
+            if max(excess[0], excess[1], excess[2]) > _LEAST:
+                _draw_streak(made, row, column, excess, pivot, length)
 
 
 @numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
-def _draw_streak(made, from_row, from_column, lamp, around, pivot, length):
+def _sums_across(lamps, rows):
+    """Sum of the pixels up to half a window to the left and to the right of each, in some rows."""
+    half, last = _WIDE // 2, lamps.shape[1] - 1
+    sums = np.empty((len(rows), last + 1, 3))
+    for k in range(len(rows)):
+        for channel in range(3):
+            total = 0.0
+            for column in range(-half, last + 1):
+                total += lamps[rows[k], column + half, channel] if column + half <= last else 0.0
+                total -= lamps[rows[k], column - half - 1, channel] if column > half else 0.0
+                if column >= 0:
+                    sums[k, column, channel] = total
+    return sums
+
+
+@numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
+@no_type_check
+def _draw_streak(made, from_row, from_column, light, pivot, length):
     dx, dy = _direction(from_column + 0.5, from_row + 0.5, pivot)
     is_steep = abs(dy) > abs(dx)
     step = 1.0 / max(abs(dx), abs(dy))  # one row or column
-    reach = int(_REACH * length / step)
+    reach, fall = int(_REACH * length / step), np.exp(-step / length)
+    weight = GAIN * step / (2.0 * length) * fall ** (reach + 1)
     for k in range(-reach, reach + 1):
-        weight = GAIN * np.exp(-abs(k) * step / length) * step / (2.0 * length)
+        weight = weight / fall if k <= 0 else weight * fall
         x, y = from_column + k * step * dx, from_row + k * step * dy
         column, row = int(np.floor(x)), int(np.floor(y))
         part = x - column if is_steep else y - row
@@ -194,7 +218,7 @@ def _draw_streak(made, from_row, from_column, lamp, around, pivot, length):
                 continue
             share = np.float32(weight * (part if side == 1 else 1.0 - part))
             for channel in range(3):
-                made[i, j, channel] += share * max(lamp[channel] - _OVER * around[channel], np.float32(0))
+                made[i, j, channel] += share * light[channel]
 
 
 @numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
