@@ -62,6 +62,38 @@ def test_a_sample_of_gaussians_in_file_order_covers_all_of_the_scene() -> None:
     np.testing.assert_array_equal(sample.left_out.flags, is_hidden)
 
 
+def test_small_gaussians_of_a_sample_are_fewer_cover_as_much_and_do_not_pop_up() -> None:
+    random = np.random.default_rng(5)
+    count, least_px2 = 20_000, 0.5
+    g = random_gaussians(count, 1, 0)
+    means = random.uniform((-20, -12, 20), (20, 12, 80), (count, 3)).astype(np.float32)
+    scales = np.full((count, 3), 0.02, np.float32)
+    scales[:5], means[:5], opacities = 2.0, (0.0, 0.0, 20.0), np.ones(count, np.float32)
+    part = DrawItem(replace(g, means=means, scales=scales, opacities=opacities), np.eye(4))
+
+    def areas_px(camera: Camera, least_px2: float, item: DrawItem = part) -> np.ndarray:
+        (drawn,) = LodSample(1.0, least_px2).join([item], camera)
+        rows = np.arange(count) if drawn.members is None else drawn.members
+        places = item.gaussians.means[rows] + camera.world_to_camera[:3, 3]
+        areas = np.zeros(count)
+        areas[rows] = 2 * np.pi * camera.fx**2 * drawn.gaussians.scales[rows, 0] ** 2 / (places**2).sum(axis=1)
+        return areas
+
+    ahead = np.eye(4)
+    ahead[2, 3] = -0.1
+    fewer, closer = (areas_px(each, least_px2) for each in (CAMERA, replace(CAMERA, world_to_camera=ahead)))
+    in_view = np.all(np.abs(means[:, :2]) < [[0.95 * 60, 0.95 * 40]] / np.array(CAMERA.fx) * means[:, 2:], axis=1)
+    whole = areas_px(CAMERA, 0.0)
+    assert 300 < np.count_nonzero(fewer) < 0.3 * np.count_nonzero(in_view)
+    np.testing.assert_allclose(fewer[:5], whole[:5])
+    small = np.flatnonzero(in_view)[5:]
+    assert fewer[small].sum() == pytest.approx(whole[small].sum(), rel=0.1)
+    change = np.abs(closer - fewer)[small]
+    assert change.max() < 0.1 * least_px2 and np.any((closer > 0) & (fewer == 0))
+    hidden = part._replace(left_out=BitMask.of(np.arange(count) % 2 == 0))
+    np.testing.assert_array_equal(areas_px(CAMERA, least_px2, hidden), np.where(np.arange(count) % 2 == 0, 0, fewer))
+
+
 def test_grown_members_are_the_same_gaussians_grown(any_renderer) -> None:
     g, rows = random_gaussians(300, 1, 0), np.arange(200, 300)
     grown = replace(g.take(rows), scales=g.scales[rows] * np.float32(1.7))

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import msgspec
+import numba
 import numpy as np
 import pytest
 
@@ -16,6 +17,7 @@ from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.geometry import linear_to_srgb, srgb_to_linear
 from gsrain_engine.scene.sensor import PINHOLE, ThinLens
+from gsrain_engine.water import refraction
 from gsrain_engine.water.glass_drops import RADIUS, SHAPE
 from gsrain_engine.water.pane import pane_of
 from gsrain_engine.water.refraction import WATER_INDEX, GlassView, WetGlass, refracted, wide_camera
@@ -128,17 +130,25 @@ def test_an_open_lens_spreads_a_drop_over_its_circle_of_confusion_and_keeps_its_
     assert abs(len(rows) * wide_cell - circle_px) <= 3 * wide_cell and margin * wide_cell > circle_px / 2
 
 
-def test_drops_as_small_as_a_pixel_cover_no_more_than_it():
-    """A sharp layer with a coverage beyond 1, and light below 0, once led outside of the table of tones."""
+@pytest.mark.parametrize("lens", [PINHOLE, ThinLens(0.002, 10.0)])
+def test_drops_as_small_as_a_cell_cover_no_more_than_it(lens, monkeypatch):
+    monkeypatch.setattr(refraction, "_blurred", lambda layer, radii: layer)
     camera = camera_of()
-    pixel_m = 0.02 / camera.fx
-    middles = pixel_m * (np.arange(-8, 9, 2) + 0.5)
+
+    def layer_of(drops):
+        view = GlassView(glass_with(camera, drops=drops), camera, lens, horizon(wide_camera(camera)))
+        return view.layer(horizon(camera))
+
+    cell_px = layer_of([])[1]
+    cell_m = cell_px * 0.02 / camera.fx
+    middles = cell_m * (np.arange(-8, 9, 2) + 0.5)
     places = [(u, v) for u in middles for v in middles]
-    drops = [(u, v, size * pixel_m) for u, v in places for size in (0.7, 0.9, 0.8)]
-    view = GlassView(glass_with(camera, drops=drops), camera, PINHOLE, horizon(wide_camera(camera)))
-    layer, cell, _ = view.layer(horizon(camera))
-    assert cell == 1 and layer[..., 3].max() > 0.9
+    layer = layer_of([(u, v, size * cell_m) for u, v in places for size in (0.7, 0.9, 0.8)])[0]
+    assert (cell_px == 1) == (lens is PINHOLE) and layer[..., 3].max() > 0.9
     assert layer.min() >= 0 and layer.max() <= 1 + 1e-6
+    for size in (0.3, 0.6, 0.9):  # a single one covers its area, wherever it lies in its cell
+        single = layer_of([(0.3 * cell_m, 0.4 * cell_m, size * cell_m)])[0]
+        assert single[..., 3].sum() == pytest.approx(np.pi * size**2, rel=0.05)
 
 
 def test_a_dry_clean_pane_changes_nothing_and_dirt_spreads_light():
@@ -200,9 +210,12 @@ def images_of(rain, numbers, **kinds):
     return [sequence.image(renderer, number, sky, **kinds) for number in numbers]
 
 
-def test_same_seed_same_bytes_and_any_frame_alone():
+def test_same_seed_same_bytes_and_any_frame_alone_on_any_number_of_threads():
     together = images_of(RAIN, [0, 3, 1])
+    threads = numba.get_num_threads()
+    numba.set_num_threads(1)
     assert together[2].tobytes() == images_of(RAIN, [1])[0].tobytes()
+    numba.set_num_threads(threads)
     assert together[1].tobytes() == images_of(RAIN, [3])[0].tobytes()
     other = images_of(msgspec.structs.replace(RAIN, seed=1, streaks=False), [1])[0]
     assert other.tobytes() != images_of(msgspec.structs.replace(RAIN, streaks=False), [1])[0].tobytes()
@@ -254,4 +267,17 @@ def test_linear_light_is_what_coverage_shares():
     share = (srgb_to_linear(dirty / 255) - srgb_to_linear(np.array(ROAD / 255)))[horizon(camera)[..., 0] == ROAD]
     mean = srgb_to_linear(np.array([SKY, ROAD]) / 255).mean() - srgb_to_linear(np.array(ROAD / 255))
     assert 0.02 < share.mean() / mean < 0.2
-    assert linear_to_srgb(np.array(1.0)) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("cell_px", [1, 4])
+def test_pictures_through_glass_are_those_of_the_transfer_function(cell_px):
+    random = np.random.default_rng(1)
+    image = random.integers(0, 256, (40, 52, 3)).astype(np.uint8)
+    layer = np.zeros((40 // cell_px + 2, 52 // cell_px + 2, 4), np.float32)
+    layer[..., 3] = np.linspace(0, 1, layer.shape[1])
+    layer[..., :3] = layer[..., 3:] * np.array([0.0, 0.3, 0.9])
+    made = np.empty_like(image)
+    refraction._composite(image, layer, cell_px, 1, made)
+    x = ((np.arange(52) + 0.5) / cell_px + 0.5) * layer[0, 1, 3]
+    light = srgb_to_linear(image / 255) * (1 - x[:, None]) + x[:, None] * np.array([0.0, 0.3, 0.9])
+    assert np.abs(made - 255 * linear_to_srgb(light)).max() < 0.7
