@@ -270,14 +270,15 @@ def test_linear_light_is_what_coverage_shares():
 
 
 @pytest.mark.parametrize("cell_px", [1, 4])
-def test_pictures_through_glass_are_those_of_the_transfer_function(cell_px):
+def test_pictures_through_glass_are_those_of_the_transfer_function(cell_px, monkeypatch):
     random = np.random.default_rng(1)
     image = random.integers(0, 256, (40, 52, 3)).astype(np.uint8)
     layer = np.zeros((40 // cell_px + 2, 52 // cell_px + 2, 4), np.float32)
     layer[..., 3] = np.linspace(0, 1, layer.shape[1])
     layer[..., :3] = layer[..., 3:] * np.array([0.0, 0.3, 0.9])
-    made = np.empty_like(image)
-    refraction._composite(image, layer, cell_px, 1, made)
+    monkeypatch.setattr(GlassView, "layer", lambda view, image: (layer, cell_px, 1))
+    camera = camera_of(52, 40)
+    made = GlassView(glass_with(camera), camera, PINHOLE, image).picture(image)
     x = ((np.arange(52) + 0.5) / cell_px + 0.5) * layer[0, 1, 3]
     light = srgb_to_linear(image / 255) * (1 - x[:, None]) + x[:, None] * np.array([0.0, 0.3, 0.9])
     assert np.abs(made - 255 * linear_to_srgb(light)).max() < 0.7
