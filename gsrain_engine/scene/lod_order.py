@@ -101,7 +101,7 @@ def thinned(
     """Members in view, of those that cover less than `least_px2` only a sample, and the scales of all Gaussians.
 
     A Gaussian that covers the share r < 1 of that area is drawn if a number in (0, 1), its own for all images, is
-    below r, and then with an area of 1 / r: the sample covers as much as all. As the camera comes nearer, it grows
+    below r, and then with 1 / r times its area: the sample covers as much as all. As the camera comes nearer, it grows
     from nothing while r increases by a quarter, so that it does not pop up. Scales of those left out are 0. `to_camera`
     is a similarity, and `intrinsics` are focal lengths, principal point and size of a pinhole image.
     """
@@ -128,7 +128,7 @@ def _areas(gaussians: Gaussians) -> Float32[np.ndarray, "5 n"]:
 
 @numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
-def _thin(lines, scales, m, by_area, slopes, members, thinned):
+def _thin(lines, scales, m, by_area, slopes, members, grown):
     slope_x, slope_y = slopes
     aside_x, aside_y = np.sqrt(1 + slope_x * slope_x), np.sqrt(1 + slope_y * slope_y)
     areas, ranks, xs, ys, zs = lines[0], lines[1], lines[2], lines[3], lines[4]
@@ -157,7 +157,7 @@ def _thin(lines, scales, m, by_area, slopes, members, thinned):
         z = m[2, 0] * xs[i] + m[2, 1] * ys[i] + m[2, 2] * zs[i] + m[2, 3]
         if abs(x) <= slope_x * z + aside_x * reach and abs(y) <= slope_y * z + aside_y * reach:
             for axis in range(3):
-                thinned[i, axis] = growth * scales[i, axis]
+                grown[i, axis] = growth * scales[i, axis]
             members[drawn] = i
             drawn += 1
     return drawn
