@@ -377,7 +377,10 @@ def errors_on(screen, files, folder):
     return errors
 
 
-@pytest.mark.parametrize(("screen", "name"), [(screen, each.name) for screen in SCREENS for each in journeys_on(screen)])
+SCREENS_AND_NAMES = [(screen, each.name) for screen in SCREENS for each in journeys_on(screen)]
+
+
+@pytest.mark.parametrize(("screen", "name"), SCREENS_AND_NAMES)
 def test_journey(play, screen, name):
     if (error := play(screen).get(name)) is not None:
         raise error
