@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Int32
 
 from ...kernels import NOGIL
-from ...rain.medium import RainMedium, less_drawn, without_drawn
+from ...rain.medium import RainMedium, less_drawn, way_behind_scene, without_drawn
 from ...scene.camera import Camera
 from ...scene.geometry import linear_to_srgb
 from ...scene.scene import DrawItem
@@ -534,9 +534,34 @@ def sky_layer(medium: RainMedium, camera: Camera) -> Float32[np.ndarray, "h w 4"
     if medium.is_endless:
         return color[None, None]
     if not camera.is_pinhole:
-        return (1 - medium.sky_transmittance_along(camera.rays))[..., None] * color
-    intrinsics = camera.fx, camera.fy, camera.cx, camera.cy
-    return (1 - medium.sky_transmittance(camera.width, camera.height, intrinsics))[..., None] * color
+        return (1 - medium.sky_transmittance(camera.rays))[..., None] * color
+    layer = np.empty((camera.height, camera.width, 4), np.float32)
+    intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
+    _paint_sky(layer, color, intrinsics, medium.floor, medium.numbers, medium.drawn)
+    return layer
+
+
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
+@no_type_check
+def _paint_sky(layer, color, intrinsics, floor, numbers, drawn):
+    height, width = layer.shape[:2]
+    one, half = np.float32(1), np.float32(0.5)
+    fx, fy, cx, cy = one / intrinsics[0], one / intrinsics[1], intrinsics[2], intrinsics[3]
+    for row in numba.prange(height):
+        lines = np.empty((5, width), np.float32)
+        y = (np.float32(row) + half - cy) * fy
+        for column in range(width):
+            x = (np.float32(column) + half - cx) * fx
+            z = way_behind_scene(x, y, floor)
+            depth, first, last, slope = without_drawn(x * z, y * z, z, numbers)
+            lines[0, column], lines[1, column], lines[2, column], lines[3, column] = depth, first, last, slope
+        for i in range(width):  # looks up, which is not vectorized
+            lines[4, i] = less_drawn(lines[0, i], lines[1, i], lines[2, i], lines[3, i], numbers[1], drawn)
+        for column in range(width):
+            lines[4, column] = one - exponential(-lines[4, column])
+        for column in range(width):
+            for channel in range(4):
+                layer[row, column, channel] = lines[4, column] * color[channel]
 
 
 # Transpose of compositing
