@@ -115,7 +115,8 @@ def test_a_menu_that_was_open_in_an_earlier_window_takes_no_keys():
     def frames_with_keys_for_menus(*, is_menu_open):
         install_type_ahead()
         imgui.create_context()
-        io, taken = imgui.get_io(), []
+        io, found = imgui.get_io(), []
+        io.set_ini_filename("")
         io.display_size, io.backend_flags = imgui.ImVec2(200, 100), imgui.BackendFlags_.renderer_has_textures
         for frame in range(5):
             imgui.new_frame()
@@ -124,10 +125,10 @@ def test_a_menu_that_was_open_in_an_earlier_window_takes_no_keys():
                 if imgui.begin_popup("menu"):
                     imgui.end_popup()
             if has_keys():
-                taken.append(frame)
+                found.append(frame)
             imgui.end_frame()
         imgui.destroy_context()
-        return taken
+        return found
 
     assert frames_with_keys_for_menus(is_menu_open=True) == [2, 3, 4]
     assert frames_with_keys_for_menus(is_menu_open=False) == []
