@@ -35,8 +35,8 @@ from .compositing import (
 )
 from .fast_math import FAST
 from .projection import project
-from .splats import MIN_SCENE_CUT, Splats
-from .tiles import TILE, TileLists, absorb, alpha_at, bin_into_tiles, walk_pixels, walk_tiles
+from .splats import Splats
+from .tiles import TILE, TileLists, absorb, bin_into_tiles, is_rain, walk_columns, walk_rows
 
 _MIN_ALPHA = np.float32(1e-3)  # below which a pixel of the backdrop has no depth: nothing is behind it
 
@@ -105,7 +105,7 @@ _DEPTH, _ALPHA = RAIN_LINES * TILE, (RAIN_LINES + 1) * TILE
 @numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _composite_over(tiles, shapes, channels, images):
-    walk_tiles(tiles, shapes, channels, RAIN_LINES + 2, 0, _enter, _visit_over, _store_over, images)
+    walk_columns(tiles, shapes, channels, RAIN_LINES + 2, _enter, _visit_over, _store_over, images)
 
 
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)
@@ -122,31 +122,19 @@ def _enter(state, x0, y0, images):
 
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)
 @no_type_check
-def _visit_over(shapes, channels, j, x, y, state, lanes, k, images):
-    if shapes[j, 6] < MIN_SCENE_CUT:
-        _blend_rain(shapes[j], channels[j, 3], x, y, state)
+def _visit_over(line, falloff, channels, j, images):
+    if is_rain(falloff):
+        walk_rows(line, falloff, _share_rain, (channels[j, 3],))
     else:
-        _blend_moving(shapes[j], channels[j], x, y, state)
-
-
-@numba.njit(error_model="numpy", fastmath=FAST)
-@no_type_check
-def _blend_rain(shape, depth, x, y, state):
-    walk_pixels(shape, x, y, state, (), _share_rain, (depth,))
-
-
-@numba.njit(error_model="numpy", fastmath=FAST)
-@no_type_check
-def _blend_moving(shape, channels, x, y, state):
-    walk_pixels(shape, x, y, state, (), _share_moving, (channels[0], channels[1], channels[2], channels[3]))
+        walk_rows(line, falloff, _share_moving, (channels[j, 0], channels[j, 1], channels[j, 2], channels[j, 3]))
 
 
 @numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)
 @no_type_check
-def _share_rain(line, v, dx, dy, falloff, lanes, data):
+def _share_rain(line, v, alpha, data):
     one, none = np.float32(1), np.float32(0)
     left = line[v] * (one - (line[v + _ALPHA] if data[0] > line[v + _DEPTH] else none))
-    share = line[v + OPEN] * alpha_at(line, dx, dy, falloff)
+    share = line[v + OPEN] * alpha
     line[v + OPEN] -= share
     line[v + RAIN_SHARE] += share * left
     line[v + SCENE_SHARE] += share * (one - left)
@@ -154,10 +142,10 @@ def _share_rain(line, v, dx, dy, falloff, lanes, data):
 
 @numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)
 @no_type_check
-def _share_moving(line, v, dx, dy, falloff, lanes, channels):
+def _share_moving(line, v, alpha, channels):
     one, none = np.float32(1), np.float32(0)
     left = one - (line[v + _ALPHA] if channels[3] > line[v + _DEPTH] else none)
-    weight = absorb(line, v, left * alpha_at(line, dx, dy, falloff))
+    weight = absorb(line, v, left * alpha)
     line[v + TILE] += weight * channels[0]
     line[v + 2 * TILE] += weight * channels[1]
     line[v + 3 * TILE] += weight * channels[2]

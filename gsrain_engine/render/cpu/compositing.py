@@ -16,7 +16,19 @@ from ...scene.scene import DrawItem
 from .fast_math import FAST, exponential, power
 from .projection import project
 from .splats import MIN_SCENE_CUT, Splats
-from .tiles import TILE, TileLists, absorb, alpha_at, bin_into_tiles, nothing, walk_pixels, walk_tiles
+from .tiles import (
+    TILE,
+    TileLists,
+    absorb,
+    alpha_at,
+    bin_into_tiles,
+    is_rain,
+    nothing,
+    walk_columns,
+    walk_pixels,
+    walk_rows,
+    walk_tiles,
+)
 
 
 def composite(
@@ -112,110 +124,80 @@ def composite_in_rain(
 @numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _composite(tiles, shapes, channels, images):
-    walk_tiles(tiles, shapes, channels, 6, 0, nothing, _visit, _store, images)
+    walk_columns(tiles, shapes, channels, 6, nothing, _visit, _store, images)
 
 
 @numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _composite_rain(tiles, shapes, channels, images):
-    walk_tiles(tiles, shapes, channels, RAIN_LINES, 0, open_to_rain, _visit_in_rain, store_rain, images)
+    walk_columns(tiles, shapes, channels, RAIN_LINES, open_to_rain, _visit_in_rain, store_rain, images)
 
 
 @numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _composite_lit_rain(tiles, shapes, channels, images):
-    walk_tiles(tiles, shapes, channels, RAIN_LINES + 3, 0, open_to_rain, _visit_in_lit_rain, _store_lit_rain, images)
+    walk_columns(tiles, shapes, channels, RAIN_LINES + 3, open_to_rain, _visit_in_lit_rain, _store_lit_rain, images)
 
 
 @numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _composite_veil(tiles, shapes, channels, images):
-    walk_tiles(tiles, shapes, channels, 7, 0, nothing, _visit_behind_veil, _store_veil, images)
+    walk_columns(tiles, shapes, channels, 7, nothing, _visit_behind_veil, _store_veil, images)
 
 
 @numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _composite_wet(tiles, shapes, channels, images):
-    walk_tiles(tiles, shapes, channels, 8, 0, nothing, _visit_wet, _store_wet, images)
+    walk_columns(tiles, shapes, channels, 8, nothing, _visit_wet, _store_wet, images)
 
 
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)
 @no_type_check
-def _visit(shapes, channels, j, x, y, state, lanes, k, images):
-    _blend_scene(shapes[j], channels[j], x, y, state)
+def _visit(line, falloff, channels, j, images):
+    walk_rows(line, falloff, _blend, (channels[j, 0], channels[j, 1], channels[j, 2], channels[j, 3]))
 
 
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)
 @no_type_check
-def _visit_wet(shapes, channels, j, x, y, state, lanes, k, images):
+def _visit_wet(line, falloff, channels, j, images):
     if channels.shape[1] > 4 and channels[j, 4] + channels[j, 5] > 0:
-        _blend_film(shapes[j], channels[j], x, y, state)
+        light = channels[j, 0], channels[j, 1], channels[j, 2], channels[j, 3], channels[j, 4], channels[j, 5]
+        walk_rows(line, falloff, _blend_film, light)
     else:
-        _blend_scene(shapes[j], channels[j], x, y, state)
+        _visit(line, falloff, channels, j, images)
 
 
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)
 @no_type_check
-def _visit_in_rain(shapes, channels, j, x, y, state, lanes, k, images):
-    if shapes[j, 6] < MIN_SCENE_CUT:
-        _blend_rain(shapes[j], x, y, state)
+def _visit_in_rain(line, falloff, channels, j, images):
+    if is_rain(falloff):
+        walk_rows(line, falloff, _share_rain, ())
     else:
-        _visit_wet(shapes, channels, j, x, y, state, lanes, k, images)
+        _visit_wet(line, falloff, channels, j, images)
 
 
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)
 @no_type_check
-def _visit_in_lit_rain(shapes, channels, j, x, y, state, lanes, k, images):
-    if shapes[j, 6] < MIN_SCENE_CUT:
-        _blend_lit_rain(shapes[j], channels[j], x, y, state)
+def _visit_in_lit_rain(line, falloff, channels, j, images):
+    if is_rain(falloff):
+        walk_rows(line, falloff, _share_lit_rain, (channels[j, 0], channels[j, 1], channels[j, 2]))
     else:
-        _visit_wet(shapes, channels, j, x, y, state, lanes, k, images)
+        _visit_wet(line, falloff, channels, j, images)
 
 
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)
 @no_type_check
-def _visit_behind_veil(shapes, channels, j, x, y, state, lanes, k, images):
-    if shapes[j, 6] < MIN_SCENE_CUT:
-        _blend_veil(shapes[j], x, y, state)
+def _visit_behind_veil(line, falloff, channels, j, images):
+    if is_rain(falloff):
+        walk_rows(line, falloff, _share_veil, ())
     else:
-        _blend_scene(shapes[j], channels[j], x, y, state)
-
-
-@numba.njit(error_model="numpy", fastmath=FAST)
-@no_type_check
-def _blend_scene(shape, channels, x, y, state):
-    walk_pixels(shape, x, y, state, (), _blend, (channels[0], channels[1], channels[2], channels[3]))
-
-
-@numba.njit(error_model="numpy", fastmath=FAST)
-@no_type_check
-def _blend_film(shape, channels, x, y, state):
-    light = channels[0], channels[1], channels[2], channels[3], channels[4], channels[5]
-    walk_pixels(shape, x, y, state, (), _share_film, light)
-
-
-@numba.njit(error_model="numpy", fastmath=FAST)
-@no_type_check
-def _blend_rain(shape, x, y, state):
-    walk_pixels(shape, x, y, state, (), _share_rain, ())
-
-
-@numba.njit(error_model="numpy", fastmath=FAST)
-@no_type_check
-def _blend_lit_rain(shape, light, x, y, state):
-    walk_pixels(shape, x, y, state, (), _share_lit_rain, (light[0], light[1], light[2]))
-
-
-@numba.njit(error_model="numpy", fastmath=FAST)
-@no_type_check
-def _blend_veil(shape, x, y, state):
-    walk_pixels(shape, x, y, state, (), _share_veil, ())
+        _visit(line, falloff, channels, j, images)
 
 
 @numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)
 @no_type_check
-def _blend(line, v, dx, dy, falloff, lanes, channels):
-    weight = absorb(line, v, alpha_at(line, dx, dy, falloff))
+def _blend(line, v, alpha, channels):
+    weight = absorb(line, v, alpha)
     line[v + TILE] += weight * channels[0]
     line[v + 2 * TILE] += weight * channels[1]
     line[v + 3 * TILE] += weight * channels[2]
@@ -225,8 +207,8 @@ def _blend(line, v, dx, dy, falloff, lanes, channels):
 
 @numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)
 @no_type_check
-def _share_film(line, v, dx, dy, falloff, lanes, channels):
-    weight = absorb(line, v, alpha_at(line, dx, dy, falloff))
+def _blend_film(line, v, alpha, channels):
+    weight = absorb(line, v, alpha)
     line[v + TILE] += weight * channels[0]
     line[v + 2 * TILE] += weight * channels[1]
     line[v + 3 * TILE] += weight * channels[2]
@@ -238,13 +220,13 @@ def _share_film(line, v, dx, dy, falloff, lanes, channels):
 
 @numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)
 @no_type_check
-def _share_rain(line, v, dx, dy, falloff, lanes, nothing):
+def _share_rain(line, v, alpha, nothing):
     """Blend a rain fragment and occlude splats behind it; the lines of the clear scene are unchanged.
 
     Of all light that enters a pixel, `share` meets its first drop here. The scene in front had covered A of that; the
     rest shows the drop.
     """
-    share = line[v + OPEN] * alpha_at(line, dx, dy, falloff)
+    share = line[v + OPEN] * alpha
     line[v + OPEN] -= share
     line[v + RAIN_SHARE] += share * line[v]
     line[v + SCENE_SHARE] += share * line[v + 5 * TILE]
@@ -252,9 +234,9 @@ def _share_rain(line, v, dx, dy, falloff, lanes, nothing):
 
 @numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)
 @no_type_check
-def _share_lit_rain(line, v, dx, dy, falloff, lanes, light):
+def _share_lit_rain(line, v, alpha, light):
     """Blend a rain fragment as `_share_rain` does, and add up its light of lamps."""
-    share = line[v + OPEN] * alpha_at(line, dx, dy, falloff)
+    share = line[v + OPEN] * alpha
     shown = share * line[v]
     line[v + OPEN] -= share
     line[v + RAIN_SHARE] += shown
@@ -266,9 +248,9 @@ def _share_lit_rain(line, v, dx, dy, falloff, lanes, light):
 
 @numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)
 @no_type_check
-def _share_veil(line, v, dx, dy, falloff, lanes, nothing):
+def _share_veil(line, v, alpha, nothing):
     """Occlude splats behind a rain fragment and accumulate its share; the color is added at the end."""
-    share = line[v] * alpha_at(line, dx, dy, falloff)
+    share = line[v] * alpha
     line[v] -= share
     line[v + VEIL_SHARE] += share
 
