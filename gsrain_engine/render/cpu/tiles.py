@@ -16,6 +16,8 @@ BATCH = 32  # splats gathered from memory before they are processed, so that the
 _CHUNKS = 32  # parts of the splat list that are processed in parallel; the result does not depend on it
 _MAX_PAIRS = 1 << 30
 _BITS = np.dtype(np.uint32)
+_SIDE_SHIFT = 3
+_SIDE = 1 << _SIDE_SHIFT  # maximum side, in tiles, of a splat's box whose tiles have a bit each
 _SLACK_PX = 1e-2  # margin for float32 rounding, so that an ellipse's edge never loses a pixel
 
 
@@ -46,8 +48,8 @@ def bin_into_tiles(
     """
     columns, rows = -(-width // TILE), -(-height // TILE)
     counts = np.zeros((_CHUNKS, columns * rows), np.int64)
-    boxes, masks = np.empty((len(order), 4), np.int16), np.empty(len(order), np.uint64)
-    _count(shapes, order, columns, rows, counts, boxes, masks)
+    corners, masks = np.empty(len(order), np.int32), np.empty(len(order), np.uint64)
+    _count(shapes, order, columns, rows, counts, corners, masks)
     by_tile = counts.T.ravel()
     ends = np.cumsum(by_tile)
     pairs = int(ends[-1])
@@ -56,83 +58,111 @@ def bin_into_tiles(
     places = np.ascontiguousarray((ends - by_tile).reshape(-1, _CHUNKS).T)
     starts = np.append(places[0], pairs)
     members = np.empty(pairs, np.int32)
-    _write(shapes, order, columns, rows, boxes, masks, places, members)
+    _write(shapes, order, columns, rows, corners, masks, places, members)
     return TileLists(width, height, starts, members)
 
 
 @numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
-def _count(shapes, order, columns, rows, counts, boxes, masks):
-    """Count each tile's splats. For each splat store the box of tiles around it, and a mask of the touched ones.
+def _count(shapes, order, columns, rows, counts, corners, masks):
+    """Count each tile's splats. For each splat store the first tile of the box around it, and a mask of touched ones.
 
-    The mask has one bit per tile, column by column; it is 0 if the box has more than 64. Each chunk of the splats has
-    its own counts, since chunks are processed in parallel.
+    The mask has _SIDE bits for each column of the box; it is 0 if the box has more columns or rows. Each chunk of the
+    splats has its own counts, since chunks are processed in parallel.
     """
     size = (len(order) + _CHUNKS - 1) // _CHUNKS
     for chunk in numba.prange(_CHUNKS):
         count = counts[chunk]
         # A line for each number of a batch's ellipses, so that LLVM vectorizes the loop over its splats, which has no
         # branches; those of the loop over tiles are mispredicted too often for the processor to overlap divisions.
-        near, ellipses, near_boxes = np.ones((8, BATCH), np.float32), np.empty((8, BATCH)), np.empty((5, BATCH))
+        near, ellipses, boxes = np.ones((8, BATCH), np.float32), np.empty((8, BATCH)), np.empty((5, BATCH))
+        bits = np.empty((2, BATCH), np.uint64)  # of the first two columns, more than most splats have
         for first in range(chunk * size, min(len(order), (chunk + 1) * size), BATCH):
             last = min(first + BATCH, len(order), (chunk + 1) * size)
             for k in range(first, last):
-                shape = shapes[order[k]]
+                n = order[k]
                 for i in range(8):
-                    near[i, k - first] = shape[i]
+                    near[i, k - first] = shapes[n, i]
             for j in range(BATCH):
                 ellipse = _ellipse(_column(near, j))
                 box = _box(ellipse, columns, rows)
+                bits[0, j] = _bits_of_column(ellipse, box, box[0], rows)
+                bits[1, j] = _bits_of_column(ellipse, box, box[0] + 1, rows)
                 x, y, reach_x, reach_y, shear, variance, depth, turn = ellipse
                 ellipses[0, j], ellipses[1, j], ellipses[2, j], ellipses[3, j] = x, y, reach_x, reach_y
                 ellipses[4, j], ellipses[5, j], ellipses[6, j], ellipses[7, j] = shear, variance, depth, turn
                 left, right, top, bottom, is_exact = box
-                near_boxes[0, j], near_boxes[1, j], near_boxes[2, j], near_boxes[3, j] = left, right, top, bottom
-                near_boxes[4, j] = 1.0 if is_exact else 0.0
+                boxes[0, j], boxes[1, j], boxes[2, j], boxes[3, j] = left, right, top, bottom
+                boxes[4, j] = 1.0 if is_exact else 0.0
             for k in range(first, last):
-                left, right = int(near_boxes[0, k - first]), int(near_boxes[1, k - first])
-                top, bottom = int(near_boxes[2, k - first]), int(near_boxes[3, k - first])
-                is_exact = near_boxes[4, k - first] > 0
-                boxes[k, 0], boxes[k, 1], boxes[k, 2], boxes[k, 3] = left, right, top, bottom
-                has_bits = (right - left) * (bottom - top) <= 64
-                bit, mask = 0, np.uint64(0)
-                ellipse = _column(ellipses, k - first)
-                for column in range(left, right):
-                    highest, lowest = (top, bottom) if is_exact else _rows_of_column(ellipse, column, rows)
-                    for row in range(highest, lowest):
-                        count[row * columns + column] += 1
-                        if has_bits:
-                            mask |= np.uint64(1) << np.uint64(bit + row - top)
-                    bit += bottom - top
-                masks[k] = mask
+                j = k - first
+                left, right, top, bottom = int(boxes[0, j]), int(boxes[1, j]), int(boxes[2, j]), int(boxes[3, j])
+                corner, mask = top * columns + left, np.uint64(0)
+                if right - left <= _SIDE and bottom - top <= _SIDE:
+                    mask = bits[0, j] | bits[1, j] << np.uint64(_SIDE)
+                    for column in range(left + 2, right):
+                        box = boxes[0, j], boxes[1, j], boxes[2, j], boxes[3, j], boxes[4, j] > 0
+                        more = _bits_of_column(_column(ellipses, j), box, np.float64(column), rows)
+                        mask |= more << np.uint64(_SIDE * (column - left))
+                    left_bits = mask
+                    while left_bits != 0:
+                        count[corner + _tile_of_bit(left_bits, columns)] += 1
+                        left_bits &= left_bits - np.uint64(1)
+                else:
+                    for column in range(left, right):
+                        highest, lowest = _rows_of_column(_column(ellipses, j), column, rows)
+                        for row in range(int(highest), int(lowest)):
+                            count[row * columns + column] += 1
+                corners[k], masks[k] = corner, mask
 
 
 @numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
-def _write(shapes, order, columns, rows, boxes, masks, places, members):
+def _write(shapes, order, columns, rows, corners, masks, places, members):
     """Write each splat to the places of the tiles that it touches, and advance those by one."""
     size = (len(order) + _CHUNKS - 1) // _CHUNKS
     for chunk in numba.prange(_CHUNKS):
         place = places[chunk]
         for k in range(chunk * size, min(len(order), (chunk + 1) * size)):
-            left, right, top, bottom = boxes[k, 0], boxes[k, 1], boxes[k, 2], boxes[k, 3]
-            mask = masks[k]
+            mask, corner, n = masks[k], corners[k], order[k]
             if mask != 0:
-                for column in range(left, right):
-                    for row in range(top, bottom):
-                        if mask & np.uint64(1):
-                            tile = row * columns + column
-                            members[place[tile]] = order[k]
-                            place[tile] += 1
-                        mask >>= np.uint64(1)
+                while mask != 0:
+                    tile = corner + _tile_of_bit(mask, columns)
+                    members[place[tile]] = n
+                    place[tile] += 1
+                    mask &= mask - np.uint64(1)
             else:
-                ellipse = _ellipse(shapes[order[k]])
-                for column in range(left, right):
+                s = shapes[n, 0], shapes[n, 1], shapes[n, 2], shapes[n, 3]
+                ellipse = _ellipse((*s, shapes[n, 4], shapes[n, 5], shapes[n, 6], shapes[n, 7]))
+                left, right, _, _, _ = _box(ellipse, columns, rows)
+                for column in range(int(left), int(right)):
                     highest, lowest = _rows_of_column(ellipse, column, rows)
-                    for row in range(highest, lowest):
+                    for row in range(int(highest), int(lowest)):
                         tile = row * columns + column
-                        members[place[tile]] = order[k]
+                        members[place[tile]] = n
                         place[tile] += 1
+
+
+@numba.njit(forceinline=True, error_model="numpy")
+@no_type_check
+def _tile_of_bit(mask, columns):
+    """Offset, from the first tile of a box, of the tile of a mask's lowest bit."""
+    bit = np.int64(trailing_zeros(mask))
+    return (bit & (_SIDE - 1)) * columns + (bit >> _SIDE_SHIFT)
+
+
+@numba.njit(forceinline=True, error_model="numpy")
+@no_type_check
+def _bits_of_column(ellipse, box, column, rows):
+    """Bits of the rows of tiles that the ellipse touches in one column, from the top of its box; none beyond that."""
+    _, right, top, bottom, is_exact = box
+    highest, lowest = _rows_of_column(ellipse, column, rows)
+    highest = top if is_exact else max(highest, top)
+    lowest = bottom if is_exact else min(lowest, bottom)
+    count = lowest - highest if column < right else 0.0
+    above = np.int32(min(max(highest - top, 0.0), np.float64(_SIDE)))
+    ones = (np.uint64(1) << np.uint64(np.int32(min(max(count, 0.0), np.float64(_SIDE))))) - np.uint64(1)
+    return ones << np.uint64(above)
 
 
 @numba.njit(forceinline=True, error_model="numpy")
@@ -191,8 +221,7 @@ def _rows_of_column(ellipse, column, rows):
     fall = depth / (reach * reach)
     bottom = y + shear * at_bottom + np.sqrt(2 * variance * max(depth - fall * at_bottom * at_bottom, 0.0))
     top = y + shear * at_top - np.sqrt(2 * variance * max(depth - fall * at_top * at_top, 0.0))
-    highest, lowest = _tiles_between(top, bottom, rows)
-    return int(highest), int(lowest)
+    return _tiles_between(top, bottom, rows)
 
 
 # Walk over tiles, splats and pixels
