@@ -20,11 +20,13 @@ from ...scene.scene import DrawItem
 from .block_cache import BlockCaches
 from .compositing import (
     FILM,
+    NO_SKY,
     OPEN,
     RAIN_LINES,
     RAIN_SHARE,
     SCENE_SHARE,
     Film,
+    SkyLayer,
     composite_wet,
     dim_by_medium,
     expected,
@@ -51,8 +53,8 @@ class Backdrop:
     """Expected depth along the view axis in meters; infinite where the scene is empty."""
     film: Float32[np.ndarray, "h w 2"]
     """Visible shares of films and standing water."""
-    sky: Float32[np.ndarray, "r c 4"]
-    """Layer of the medium behind the scene; without pixels if there is none."""
+    sky: SkyLayer
+    """Layer of the medium behind the scene."""
     gaussians: int
     """Number of Gaussians that were considered."""
 
@@ -78,7 +80,7 @@ def draw_backdrop(
     rgba, weighted = composite_wet(splats.shapes, splats.colors, tiles, film)
     depth = expected(weighted, rgba[..., 3], _MIN_ALPHA)
     depth[depth <= 0] = np.inf
-    sky = np.empty((0, 0, 4), np.float32) if medium is None else sky_layer(medium, camera)
+    sky = NO_SKY if medium is None else sky_layer(medium, camera)
     return Backdrop(rgba, depth, film.visible, sky, sum(part.drawn_count for part in parts))
 
 
@@ -93,7 +95,7 @@ def composite_over(
     height, width = tiles.height, tiles.width
     rgba, visible = np.empty((height, width, 4), np.float32), np.empty((height, width, 2), np.float32)
     fourth, alpha = (np.empty((height, width), np.float32) for _ in range(2))
-    images = rgba, fourth, visible, alpha, light_linear, backdrop.sky
+    images = rgba, fourth, visible, alpha, light_linear, *backdrop.sky
     _composite_over(tiles, splats.shapes, splats.colors, (*images, backdrop.rgba, backdrop.depth, backdrop.film))
     return rgba, visible
 
@@ -111,7 +113,7 @@ def _composite_over(tiles, shapes, channels, images):
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)
 @no_type_check
 def _enter(state, x0, y0, images):
-    rgba, depth = images[6], images[7]
+    rgba, depth = images[7], images[8]
     height, width = depth.shape
     open_to_rain(state, x0, y0, images)
     for v in range(min(TILE, height - y0)):
@@ -155,7 +157,7 @@ def _share_moving(line, v, alpha, channels):
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)
 @no_type_check
 def _store_over(state, x0, y0, images):
-    back, film = images[6], images[8]
+    back, film = images[7], images[9]
     height, width = film.shape[:2]
     for v in range(min(TILE, height - y0)):
         for u in range(min(TILE, width - x0)):

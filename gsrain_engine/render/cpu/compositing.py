@@ -13,7 +13,7 @@ from ...rain.medium import RainMedium, less_drawn, without_drawn
 from ...scene.camera import Camera
 from ...scene.geometry import linear_to_srgb
 from ...scene.scene import DrawItem
-from .fast_math import FAST, exponential, power
+from .fast_math import FAST, exponential, power, stack_lines
 from .projection import project
 from .splats import MIN_SCENE_CUT, Splats
 from .tiles import (
@@ -66,6 +66,23 @@ class Film(NamedTuple):
         return cls(of_splats, np.empty((tiles.height, tiles.width, 2), np.float32))
 
 
+class SkyLayer(NamedTuple):
+    """Layer of one color behind the scene and before the background."""
+
+    shares: Float32[np.ndarray, "r c"]
+    """Share of each pixel that it covers; one for all pixels, or none without a layer."""
+    color: Float32[np.ndarray, "4"]
+    """Display color and alpha of 1."""
+
+    @property
+    def rgba(self) -> Float32[np.ndarray, "r c 4"]:
+        """Premultiplied display color with alpha."""
+        return self.shares[..., None] * self.color
+
+
+NO_SKY = SkyLayer(np.zeros((0, 0), np.float32), np.zeros(4, np.float32))
+
+
 def film_of_splats(splats: Splats, parts: Sequence[DrawItem]) -> Float32[np.ndarray, "m 2"]:
     """Shares of films and standing water on each splat; none on rain."""
     film = np.zeros((len(splats), 2), np.float32)
@@ -92,7 +109,7 @@ def composite_in_rain(
     channels: Float32[np.ndarray, "m 4"],
     light_linear: Float32[np.ndarray, "3"],
     tiles: TileLists,
-    sky: Float32[np.ndarray, "r c 4"] | None = None,
+    sky: SkyLayer = NO_SKY,
     lamp_light: Float32[np.ndarray, "h w 3"] | None = None,
     film: Film | None = None,
 ) -> tuple[Float32[np.ndarray, "h w 4"], Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
@@ -100,20 +117,18 @@ def composite_in_rain(
 
     With T_i the product of 1 - alpha_j over all nearer splats, of scene and rain alike, the shares of the scene and of
     the rain are the sums of alpha_i T_i over their own splats. Rain behind opaque surfaces is hidden. `add_rain_light`
-    combines the shares into the image. Returns it, and the fourth channel and alpha of the scene alone. `sky` is a
-    premultiplied layer, or one pixel for all of it, behind the scene and before the background. If `lamp_light` is
-    there, the channels of rain are its light of lamps in linear light, and what is visible of that is written there.
+    combines the shares into the image. Returns it, and the fourth channel and alpha of the scene alone. If `lamp_light`
+    is there, the channels of rain are its light of lamps in linear light, and what is visible of that is written there.
     The `film` is blended without the rain in front of it.
     """
     rgba = np.empty((tiles.height, tiles.width, 4), np.float32)
     fourth, alpha = (np.empty((tiles.height, tiles.width), np.float32) for _ in range(2))
-    behind = np.empty((0, 0, 4), np.float32) if sky is None else sky
     visible = np.empty((0, 0, 2), np.float32) if film is None else film.visible
     channels = channels if film is None else np.hstack([channels, film.of_splats])
     if lamp_light is None:
-        _composite_rain(tiles, shapes, channels, (rgba, fourth, visible, alpha, light_linear, behind))
+        _composite_rain(tiles, shapes, channels, (rgba, fourth, visible, alpha, light_linear, *sky))
     else:
-        _composite_lit_rain(tiles, shapes, channels, (rgba, fourth, visible, alpha, light_linear, behind, lamp_light))
+        _composite_lit_rain(tiles, shapes, channels, (rgba, fourth, visible, alpha, light_linear, *sky, lamp_light))
     return rgba, fourth, alpha
 
 
@@ -268,11 +283,14 @@ def _store(state, x0, y0, images):
     height, width = fourth.shape
     for v in range(min(TILE, height - y0)):
         for u in range(min(TILE, width - x0)):
-            rgba[y0 + v, x0 + u, 0] = state[u, TILE + v]
-            rgba[y0 + v, x0 + u, 1] = state[u, 2 * TILE + v]
-            rgba[y0 + v, x0 + u, 2] = state[u, 3 * TILE + v]
-            rgba[y0 + v, x0 + u, 3] = state[u, 5 * TILE + v]
-            fourth[y0 + v, x0 + u] = state[u, 4 * TILE + v]
+            # All loads before all stores, since LLVM can't know that they don't overlap.
+            red, green, blue = state[u, TILE + v], state[u, 2 * TILE + v], state[u, 3 * TILE + v]
+            weighted, alpha = state[u, 4 * TILE + v], state[u, 5 * TILE + v]
+            rgba[y0 + v, x0 + u, 0] = red
+            rgba[y0 + v, x0 + u, 1] = green
+            rgba[y0 + v, x0 + u, 2] = blue
+            rgba[y0 + v, x0 + u, 3] = alpha
+            fourth[y0 + v, x0 + u] = weighted
 
 
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)
@@ -290,20 +308,24 @@ def _store_wet(state, x0, y0, images):
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)
 @no_type_check
 def store_rain(state, x0, y0, images):
-    clear_alpha, light_linear, sky = images[3], images[4], images[5]
+    clear_alpha, light_linear, shares, color = images[3], images[4], images[5], images[6]
     height, width = clear_alpha.shape
     for v in range(min(TILE, height - y0)):
         for u in range(min(TILE, width - x0)):
             clear_alpha[y0 + v, x0 + u] = state[u, 5 * TILE + v]
-    for v in range(min(TILE, height - y0) if len(sky) > 0 else 0):
-        row = min(y0 + v, len(sky) - 1)
+    if len(shares) > 0:
+        red, green, blue, alpha = color[0], color[1], color[2], color[3]
+        behind = stack_lines(1, TILE, state.dtype)
         for u in range(min(TILE, width - x0)):
-            behind = sky[row, min(x0 + u, sky.shape[1] - 1)]
-            open_share = np.float32(1) - state[u, 5 * TILE + v]
-            state[u, TILE + v] += open_share * behind[0]
-            state[u, 2 * TILE + v] += open_share * behind[1]
-            state[u, 3 * TILE + v] += open_share * behind[2]
-            state[u, 5 * TILE + v] += open_share * behind[3]
+            column = min(x0 + u, shares.shape[1] - 1)
+            for v in range(TILE):
+                behind[v] = shares[min(y0 + v, len(shares) - 1), column]
+            for v in range(TILE):
+                open_share = np.float32(1) - state[u, 5 * TILE + v]
+                state[u, TILE + v] += open_share * (behind[v] * red)
+                state[u, 2 * TILE + v] += open_share * (behind[v] * green)
+                state[u, 3 * TILE + v] += open_share * (behind[v] * blue)
+                state[u, 5 * TILE + v] += open_share * (behind[v] * alpha)
     for u in range(min(TILE, width - x0)):
         add_rain_light(state[u], light_linear)
     _store_wet(state, x0, y0, images)
@@ -312,7 +334,7 @@ def store_rain(state, x0, y0, images):
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)
 @no_type_check
 def _store_lit_rain(state, x0, y0, images):
-    lamp_light = images[6]
+    lamp_light = images[7]
     height, width = lamp_light.shape[:2]
     for u in range(min(TILE, width - x0)):
         for v in range(min(TILE, height - y0)):
@@ -507,18 +529,15 @@ def _add_light(rgba, light):
                 rgba[row, column, channel] = before[column]
 
 
-def sky_layer(medium: RainMedium, camera: Camera) -> Float32[np.ndarray, "h w 4"]:
-    """Airlight of the medium behind the scene, as a premultiplied display color with alpha.
-
-    One pixel, for all, if the medium has neither a region nor a floor.
-    """
+def sky_layer(medium: RainMedium, camera: Camera) -> SkyLayer:
+    """Airlight of the medium behind the scene."""
     color = np.append(linear_to_srgb(medium.airlight_linear), 1).astype(np.float32)
     if medium.is_endless:
-        return color[None, None]
+        return SkyLayer(np.ones((1, 1), np.float32), color)
     if not camera.is_pinhole:
-        return (1 - medium.sky_transmittance_along(camera.rays))[..., None] * color
+        return SkyLayer(1 - medium.sky_transmittance_along(camera.rays), color)
     intrinsics = camera.fx, camera.fy, camera.cx, camera.cy
-    return (1 - medium.sky_transmittance(camera.width, camera.height, intrinsics))[..., None] * color
+    return SkyLayer(1 - medium.sky_transmittance(camera.width, camera.height, intrinsics), color)
 
 
 # Transpose of compositing
