@@ -102,12 +102,13 @@ def composite_over(
 
 # Lines of a tile's column as in rain, and two more: depth and alpha of the backdrop.
 _DEPTH, _ALPHA = RAIN_LINES * TILE, (RAIN_LINES + 1) * TILE
+_LINES = RAIN_LINES + 2
 
 
 @numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _composite_over(tiles, shapes, channels, images):
-    walk_columns(tiles, shapes, channels, RAIN_LINES + 2, _enter, _visit_over, _store_over, images)
+    walk_columns(tiles, shapes, channels, _LINES, _enter, _visit_over, _store_over, images)
 
 
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)

@@ -151,7 +151,7 @@ def _composite_rain(tiles, shapes, channels, images):
 @numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _composite_lit_rain(tiles, shapes, channels, images):
-    walk_columns(tiles, shapes, channels, RAIN_LINES + 3, open_to_rain, _visit_in_lit_rain, _store_lit_rain, images)
+    walk_columns(tiles, shapes, channels, _LIT_LINES, open_to_rain, _visit_in_lit_rain, _store_lit_rain, images)
 
 
 @numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
@@ -370,6 +370,7 @@ OPEN, RAIN_SHARE, SCENE_SHARE = 8 * TILE, 9 * TILE, 10 * TILE
 VEIL_SHARE = 6 * TILE  # offset of the rain's share in a column if its color is added at the end
 RAIN_LINES = 11  # lines of a column in rain
 LAMP_LIGHT = RAIN_LINES * TILE  # offset of the three lines of the rain's light of lamps
+_LIT_LINES = RAIN_LINES + 3
 
 
 @numba.njit(error_model="numpy", fastmath=FAST)
