@@ -1,4 +1,4 @@
-"""Tiles of the image: the splats that touch each, nearest first, and the one walk over tiles, splats and pixels."""
+"""Tiles of the image: the splats that touch each, nearest first, and the walks over tiles, splats and pixels."""
 
 from typing import NamedTuple, no_type_check
 
@@ -12,7 +12,7 @@ from .fast_math import FAST, ROOT, exponential_of_root, stack_lines
 from .splats import MIN_SCENE_CUT
 
 TILE = 16  # side of a tile in pixels: a column of it is one 512-bit or two 256-bit vectors of float32
-BATCH = 32  # splats gathered from memory before they are processed, so that their cache misses overlap
+BATCH = 32  # splats gathered from memory before they are processed, so that their cache misses overlap; bits of _BITS
 _CHUNKS = 32  # parts of the splat list that are processed in parallel; the result does not depend on it
 _MAX_PAIRS = 1 << 30
 _BITS = np.dtype(np.uint32)
@@ -67,8 +67,8 @@ def bin_into_tiles(
 def _count(shapes, order, columns, rows, counts, corners, masks):
     """Count each tile's splats. For each splat store the first tile of the box around it, and a mask of touched ones.
 
-    The mask has _SIDE bits for each column of the box; it is 0 if the box has more columns or rows. Each chunk of the
-    splats has its own counts, since chunks are processed in parallel.
+    The mask has _SIDE bits for each column of the box. If that has more columns or rows, the first tile is stored as
+    -1. Each chunk of the splats has its own counts, since chunks are processed in parallel.
     """
     size = (len(order) + _CHUNKS - 1) // _CHUNKS
     for chunk in numba.prange(_CHUNKS):
@@ -104,11 +104,12 @@ def _count(shapes, order, columns, rows, counts, corners, masks):
                         box = boxes[0, j], boxes[1, j], boxes[2, j], boxes[3, j], boxes[4, j] > 0
                         more = _bits_of_column(_column(ellipses, j), box, np.float64(column), rows)
                         mask |= more << np.uint64(_SIDE * (column - left))
-                    left_bits = mask
-                    while left_bits != 0:
-                        count[corner + _tile_of_bit(left_bits, columns)] += 1
-                        left_bits &= left_bits - np.uint64(1)
+                    bits_left = mask
+                    while bits_left != 0:
+                        count[corner + _tile_of_bit(bits_left, columns)] += 1
+                        bits_left &= bits_left - np.uint64(1)
                 else:
+                    corner = -1
                     for column in range(left, right):
                         highest, lowest = _rows_of_column(_column(ellipses, j), column, rows)
                         for row in range(int(highest), int(lowest)):
@@ -125,15 +126,14 @@ def _write(shapes, order, columns, rows, corners, masks, places, members):
         place = places[chunk]
         for k in range(chunk * size, min(len(order), (chunk + 1) * size)):
             mask, corner, n = masks[k], corners[k], order[k]
-            if mask != 0:
+            if corner >= 0:
                 while mask != 0:
                     tile = corner + _tile_of_bit(mask, columns)
                     members[place[tile]] = n
                     place[tile] += 1
                     mask &= mask - np.uint64(1)
             else:
-                s = shapes[n, 0], shapes[n, 1], shapes[n, 2], shapes[n, 3]
-                ellipse = _ellipse((*s, shapes[n, 4], shapes[n, 5], shapes[n, 6], shapes[n, 7]))
+                ellipse = _ellipse(shapes[n])
                 left, right, _, _, _ = _box(ellipse, columns, rows)
                 for column in range(int(left), int(right)):
                     highest, lowest = _rows_of_column(ellipse, column, rows)
