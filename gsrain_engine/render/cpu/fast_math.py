@@ -1,4 +1,4 @@
-"""Vectorizable exponential, power and spherical harmonics for compiled kernels."""
+"""Vectorizable exponential, power and spherical harmonics for compiled kernels, and numbers held in registers."""
 
 from typing import no_type_check
 
@@ -120,6 +120,7 @@ def _stack_numbers(context, lines, length, dtype):
     """Pointer to lines of numbers on the stack; `lines` and `length` are constant."""
     number, count = dtype.dtype, lines.literal_value * length.literal_value
 
+    @no_type_check
     def generate(context, builder, signature, arguments):
         numbers = cgutils.alloca_once(builder, ir.ArrayType(context.get_value_type(number), count))
         numbers.align = 64
