@@ -42,7 +42,7 @@ _ORBIT_RAD_S = 0.3
 _SETTLING_S = 6.0  # the quality of pictures has settled then
 _LONGEST_S = 900.0
 _MOVES_EVERY_S = (0.1, 0.5)
-_WINDOW_PX = (1440, 900)
+_WINDOW_PX = (1472, 967)
 _SPLITS = {"RightSpace": 0.17, "LeftSpace": 0.2, "BottomSpace": 0.22}  # shares at which the viewport has 960x640
 
 

@@ -119,17 +119,16 @@ class RenderQueue:
 
     def use_preset(self, preset: ExportPreset) -> None:
         """Take the settings of a preset; the cameras and the times stay."""
-        stay = (*_OF_SCENE, "first_s", "last_s")
-        fields = {name: getattr(_PLAIN, name) for name in _PLAIN.__struct_fields__ if name not in stay}
-        self.change(**(fields | dict(preset.fields)))
+        self.change(**_fields_of(preset))
 
     @property
     def preset(self) -> ExportPreset | None:
         """Preset with the present settings; None for others."""
         settings = self.settings
-        return next(
-            (each for each in EXPORT_PRESETS if all(getattr(settings, k) == v for k, v in each.fields.items())), None
-        )
+        for preset in EXPORT_PRESETS:
+            if all(getattr(settings, name) == value for name, value in _fields_of(preset).items()):
+                return preset
+        return None
 
     def preview_frame(self) -> None:
         """Render the frame at the playhead in the background, as the recording would write it."""
@@ -337,3 +336,10 @@ def _fitting(changed: Mapping[str, object], values: Mapping[str, Any]) -> dict[s
         else:
             fitting["transparent"] = False
     return fitting
+
+
+def _fields_of(preset: ExportPreset) -> dict[str, Any]:
+    """All settings of a preset, except for cameras and times."""
+    others = (*_OF_SCENE, "first_s", "last_s")
+    plain = {name: getattr(_PLAIN, name) for name in _PLAIN.__struct_fields__ if name not in others}
+    return plain | dict(preset.fields)

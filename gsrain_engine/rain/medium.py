@@ -50,20 +50,12 @@ class RainMedium:
         find(np.ascontiguousarray(points_m, np.float32), self.numbers, self.drawn, kept)
         return kept
 
-    def sky_transmittance_along(self, rays: PixelRays) -> Float32[np.ndarray, "h w"]:
-        """Share of light from behind the scene that arrives along the ray of each pixel, as `sky_transmittance`."""
+    def sky_transmittance(self, rays: PixelRays) -> Float32[np.ndarray, "h w"]:
+        """Share of light from behind the scene that arrives at each pixel: from infinity, or from the floor."""
         directions = rays.directions
         fall = np.maximum(-(directions @ self.floor[:3]), np.float32(1 / _FAR_M))
         away = np.minimum(self.floor[3] / fall, np.float32(_FAR_M))
         return self.transmittance((directions * away[..., None]).reshape(-1, 3)).reshape(away.shape)
-
-    def sky_transmittance(
-        self, width: int, height: int, intrinsics: tuple[float, float, float, float]
-    ) -> Float32[np.ndarray, "h w"]:
-        """Share of light from behind the scene that arrives at each pixel: from infinity, or from the floor."""
-        kept = np.empty((height, width), np.float32)
-        _behind_scene(np.array(intrinsics, np.float32), self.floor, self.numbers, self.drawn, kept)
-        return kept
 
     @property
     def is_endless(self) -> bool:
@@ -134,6 +126,16 @@ def optical_depth(x, y, z, numbers, drawn):
     """Optical depth of the medium up to a point in the camera's frame (meters)."""
     depth, first, last, slope = without_drawn(x, y, z, numbers)
     return less_drawn(depth, first, last, slope, numbers[1], drawn)
+
+
+@numba.njit(forceinline=True, error_model="numpy")
+@no_type_check
+def way_behind_scene(x, y, floor):
+    """Depth in m at which the ray (x, y, 1) from the camera ends behind the scene: at the floor, or far away."""
+    one, far = np.float32(1), np.float32(_FAR_M)
+    z = one / np.sqrt(x * x + y * y + one)
+    fall = -(floor[0] * x + floor[1] * y + floor[2]) * z
+    return min(floor[3] / max(fall, one / far), far) * z
 
 
 @numba.njit(forceinline=True, error_model="numpy")
@@ -217,19 +219,3 @@ def _transmittances(points, numbers, drawn, kept):
 def _transmittances_by_distance(points, numbers, drawn, kept):
     for i in numba.prange(len(points)):
         kept[i] = np.exp(-_optical_depth_by_distance(points[i, 0], points[i, 1], points[i, 2], numbers, drawn))
-
-
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
-@no_type_check
-def _behind_scene(intrinsics, floor, numbers, drawn, kept):
-    """Share of light that each pixel keeps from infinity, or from the floor where that is nearer."""
-    fx, fy, cx, cy = intrinsics
-    one, half, far = np.float32(1), np.float32(0.5), np.float32(_FAR_M)
-    for row in numba.prange(kept.shape[0]):
-        y = (np.float32(row) + half - cy) / fy
-        for column in range(kept.shape[1]):
-            x = (np.float32(column) + half - cx) / fx
-            z = one / np.sqrt(x * x + y * y + one)
-            fall = -(floor[0] * x + floor[1] * y + floor[2]) * z
-            away = min(floor[3] / max(fall, one / far), far) * z
-            kept[row, column] = np.exp(-optical_depth(x * away, y * away, away, numbers, drawn))

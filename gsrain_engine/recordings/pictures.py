@@ -122,7 +122,7 @@ class _Distances:
         camera, depth = self.camera, self.depth_m
         points = np.dstack([_tangents(camera), np.ones_like(depth)]) * depth[..., None]
         near = medium.transmittance(np.maximum(points.reshape(-1, 3), -1e9)).reshape(depth.shape)
-        behind = medium.sky_transmittance(camera.width, camera.height, (camera.fx, camera.fy, camera.cx, camera.cy))
+        behind = medium.sky_transmittance(camera.rays)
         found = np.ascontiguousarray(np.where(depth > 0, near, behind), np.float32)
         tangents = _tangents(replace(view.camera, lens=view.lens))
         columns = tangents[..., 0] * np.float32(camera.fx) + np.float32(camera.cx - 0.5)

@@ -174,6 +174,8 @@ class ExportPreset(NamedTuple):
 
 
 EXPORT_PRESETS = (
+    ExportPreset("Draft video", "960 x 640 at 30 frames a second, H.264: the settings at the start.",
+                 {"codec": "h264", "size_px": (960, 640), "fps": 30.0}),
     ExportPreset("YouTube 1080p", "1920 x 1080 at 30 frames a second, H.264, two samples for the exposure.",
                  {"codec": "h264", "size_px": (1920, 1080), "fps": 30.0, "quality": 16, "motion_blur": 2}),
     ExportPreset("YouTube 4K", "3840 x 2160 at 30 frames a second, H.264.",

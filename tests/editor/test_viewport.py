@@ -187,7 +187,7 @@ def test_rain_over_what_stands_still_needs_fewer_pixels_but_no_fewer_gaussians()
     assert over.has_backdrop and not over.is_exact
     assert (over.gaussians, over.scale) == (1.0, 0.5)
     assert "still scene, 50% resolution" in str(over)
-    assert played(150.0, 30, stands=True).scale == 0.4  # the coarsest
+    assert played(150.0, 30, stands=True).scale == 1 / 3  # the coarsest
     assert played(10.0, 80, stands=True).scale == 1.0
     assert not budget.observe(moving=True, real_s=0.05, stands=False).has_backdrop
     assert budget.observe(moving=False, real_s=1.0).is_exact

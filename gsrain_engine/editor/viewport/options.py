@@ -111,13 +111,16 @@ LEVELS = (
     QualityLevel(1 / 8, 2 / 3), QualityLevel(1 / 8, 1 / 2), QualityLevel(1 / 8, 1 / 3),
 )  # fmt: skip
 """First fewer Gaussians, then fewer pixels."""
-BACKDROP_LEVELS = tuple(QualityLevel(1.0, scale, has_backdrop=True) for scale in (1.0, 5 / 6, 2 / 3, 1 / 2, 2 / 5))
+BACKDROP_LEVELS = tuple(
+    QualityLevel(1.0, scale, has_backdrop=True) for scale in (1.0, 5 / 6, 2 / 3, 1 / 2, 2 / 5, 1 / 3)
+)
 """Fewer pixels; the first picture of a size is as slow as an exact one. Most of the others' time is the rain's own."""
 CUT_LEVELS = (
     FULL_QUALITY,
     *(QualityLevel(1.0, scale, error_px=1.0) for scale in (1.0, 5 / 6, 2 / 3)),
     *(QualityLevel(1.0, scale, error_px=error) for scale, error in ((1 / 2, 1.25), (2 / 5, 1.5), (1 / 3, 1.5))),
     *(QualityLevel(1.0, scale, error_px=error) for scale, error in ((1 / 3, 2.0), (1 / 4, 2.0), (1 / 4, 2.5))),
+    QualityLevel(1.0, 2 / 9, error_px=2.5),
 )
 """Details merged, and fewer pixels."""
 REFINED = CUT_LEVELS[3]

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Int32
 
 from ...kernels import NOGIL
-from ...rain.medium import RainMedium, less_drawn, without_drawn
+from ...rain.medium import RainMedium, less_drawn, way_behind_scene, without_drawn
 from ...scene.camera import Camera
 from ...scene.geometry import linear_to_srgb
 from ...scene.scene import DrawItem
@@ -536,9 +536,31 @@ def sky_layer(medium: RainMedium, camera: Camera) -> SkyLayer:
     if medium.is_endless:
         return SkyLayer(np.ones((1, 1), np.float32), color)
     if not camera.is_pinhole:
-        return SkyLayer(1 - medium.sky_transmittance_along(camera.rays), color)
-    intrinsics = camera.fx, camera.fy, camera.cx, camera.cy
-    return SkyLayer(1 - medium.sky_transmittance(camera.width, camera.height, intrinsics), color)
+        return SkyLayer(1 - medium.sky_transmittance(camera.rays), color)
+    shares = np.empty((camera.height, camera.width), np.float32)
+    intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
+    _write_sky(shares, intrinsics, medium.floor, medium.numbers, medium.drawn)
+    return SkyLayer(shares, color)
+
+
+@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
+@no_type_check
+def _write_sky(shares, intrinsics, floor, numbers, drawn):
+    height, width = shares.shape
+    one, half = np.float32(1), np.float32(0.5)
+    fx, fy, cx, cy = one / intrinsics[0], one / intrinsics[1], intrinsics[2], intrinsics[3]
+    for row in numba.prange(height):
+        lines = np.empty((5, width), np.float32)
+        y = (np.float32(row) + half - cy) * fy
+        for column in range(width):
+            x = (np.float32(column) + half - cx) * fx
+            z = way_behind_scene(x, y, floor)
+            depth, first, last, slope = without_drawn(x * z, y * z, z, numbers)
+            lines[0, column], lines[1, column], lines[2, column], lines[3, column] = depth, first, last, slope
+        for i in range(width):  # looks up, which is not vectorized
+            lines[4, i] = less_drawn(lines[0, i], lines[1, i], lines[2, i], lines[3, i], numbers[1], drawn)
+        for column in range(width):
+            shares[row, column] = one - exponential(-lines[4, column])
 
 
 # Transpose of compositing

@@ -24,9 +24,13 @@ def test_two_windows_keep_each_others_preferences(sessions):
 
 def test_the_settings_of_the_record_panel_stay_for_the_next_start(sessions):
     editor = sessions()
-    editor.render_queue.use_preset(EXPORT_PRESETS[3])
+    assert editor.render_queue.preset.title == "Draft video"
+    dataset = next(each for each in EXPORT_PRESETS if each.title == "Dataset")
+    editor.render_queue.use_preset(dataset)
+    assert editor.render_queue.preset is dataset
     editor.render_queue.change(first_s=1.5, last_s=4.0, twin="sunny", cameras=("front",))
     editor.playback.timeline.fps = 12.0  # in the Timeline panel
+    assert editor.render_queue.preset is None
     settings = editor.render_queue.settings
     editor.close()
     again = sessions()
