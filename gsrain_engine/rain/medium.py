@@ -130,7 +130,7 @@ def optical_depth(x, y, z, numbers, drawn):
 
 @numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
-def way_behind_scene(x, y, floor):
+def depth_behind_scene(x, y, floor):
     """Depth in m at which the ray (x, y, 1) from the camera ends behind the scene: at the floor, or far away."""
     one, far = np.float32(1), np.float32(_FAR_M)
     z = one / np.sqrt(x * x + y * y + one)

@@ -45,7 +45,7 @@ def rain_frames(number, **rain):
 @pytest.mark.parametrize(("rate", "aperture_mm"), [(10.0, 3.0), (40.0, 0.0)])
 def test_the_rate_that_was_set_is_read(rate, aperture_mm):
     lens = {"aperture_mm": aperture_mm, "focus_distance_m": 1000.0}
-    found = reading(rain_frames(20, intensity_mm_h=rate, **lens))
+    found = reading(rain_frames(12, intensity_mm_h=rate, **lens))
     assert found.intensity_mm_h == pytest.approx(rate, rel=0.25)
     assert found.streaks > 100
     assert found.drop_light == pytest.approx(float(srgb_to_linear(np.array(SKY / 255))), rel=0.08)

@@ -27,6 +27,7 @@ from .values import CODECS, RUNTIME, UNDEFINED, Vec, constructed
 
 _MAX_STEPS = 20_000_000
 _SUBGROUP = 32
+_TURNS = 1, 1, 2, 5, 1000  # accesses in a row, by chance
 
 
 class Memory:
@@ -214,7 +215,7 @@ class InterpretedContext(moderngl.Context):
         while units:
             at = int(self.chance.random() * len(units))
             unit = units[at]
-            for _ in range(self.chance.choice((1, 1, 2, 5, 1000))):
+            for _ in range(_TURNS[int(self.chance.random() * len(_TURNS))]):
                 left = []
                 for thread in unit:
                     if thread.request[0] == BARRIER:

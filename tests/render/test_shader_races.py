@@ -212,10 +212,10 @@ def filled(context, parts, harmonics="half", rain=None, look="splats"):
     return keys, order, project.drops.found().tolist()
 
 
-def tiles_of(context, parts, rain=None, look="splats", **limits):
-    """Draw a frame by tiles; returns the picture, and depths."""
+def tiles_of(context, parts, rain=None, look="splats", max_pairs=8192):
+    """Draw a frame by tiles; returns the picture, and depths. By default the pairs of all tiles fit."""
     project, store = ProjectionPass(context, GpuArrays(context)), ProjectedSplatBuffer(context)
-    sorter, rasterizer = CpuSort(context), TileRasterizer(context, **limits)
+    sorter, rasterizer = CpuSort(context), TileRasterizer(context, max_pairs)
     slots = project.project(store, parts, CAMERA, rain, look)
     project.compact_visible(store, sorter, slots)
     size, linear = (CAMERA.width, CAMERA.height), rain is not None
@@ -228,13 +228,13 @@ def tiles_of(context, parts, rain=None, look="splats", **limits):
     return [np.frombuffer(each.read(), np.float32).reshape(CAMERA.height, CAMERA.width, -1) for each in images]
 
 
-@pytest.mark.parametrize(("rainy", "has_subgroups", "limits"), [(False, True, {}), (True, False, {"max_pairs": 250})])
-def test_draws_tiles_without_a_race_as_a_driver_draws_them(context, monkeypatch, rainy, has_subgroups, limits):
+@pytest.mark.parametrize(("rainy", "has_subgroups", "max_pairs"), [(False, True, 8192), (True, False, 250)])
+def test_draws_tiles_without_a_race_as_a_driver_draws_them(context, monkeypatch, rainy, has_subgroups, max_pairs):
     """At once, and in strips."""
     use_subgroups(monkeypatch, has_subgroups)
     parts, rain = [DrawItem(scene(300, 1), np.eye(4))], drops_of() if rainy else None
     interpreted = InterpretedContext(11, warps=rainy)
-    pictures = [tiles_of(each, parts, rain, **limits) for each in (interpreted, context)]
+    pictures = [tiles_of(each, parts, rain, max_pairs=max_pairs) for each in (interpreted, context)]
     assert list(interpreted.faults) == []
     for ours, driver, most in zip(*pictures, (1.0, 50.0), strict=True):
         assert driver.max() > 0.1

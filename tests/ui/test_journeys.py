@@ -5,6 +5,7 @@ all are played on the smallest screen, and those that depend on sizes and places
 all four with GSRAIN_JOURNEYS=all.
 """
 
+import functools
 import os
 import shutil
 from collections.abc import Callable
@@ -340,16 +341,20 @@ def files(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def played(request, files, tmp_path_factory):
-    """Errors of the journeys by name, played one after the other in one window."""
-    folder = tmp_path_factory.mktemp("screen")
+def play(files, tmp_path_factory):
+    """Function that returns the errors of a screen's journeys by name; all are played at its first call."""
+    return functools.cache(lambda screen: errors_on(screen, files, tmp_path_factory.mktemp("screen")))
+
+
+def errors_on(screen, files, folder):
+    """Play all journeys of a screen one after the other in one window; return their errors by name."""
     shutil.copytree(files, folder, dirs_exist_ok=True)
     driver, errors = Driver(folder), dict[str, Exception]()
-    driver.size_px, driver.dpi_scale = SCREENS[request.param]
+    driver.size_px, driver.dpi_scale = SCREENS[screen]
 
     def script():
         is_folded = bool(driver.window.workspace.folded.hidden)
-        journeys = journeys_on(request.param)
+        journeys = journeys_on(screen)
         for number, each in enumerate(journeys):
             try:
                 begin(driver)
@@ -366,16 +371,16 @@ def played(request, files, tmp_path_factory):
         driver.run(script)
     except (AssertionError, RuntimeError) as log:  # of the engine, which names no journey
         if not errors:
-            raise
+            return dict.fromkeys((each.name for each in journeys_on(screen)), log)
         for error in errors.values():
             error.add_note(str(log)[-2000:])
     return errors
 
 
-PLAYED = [(screen, each.name) for screen in SCREENS for each in journeys_on(screen)]
+SCREENS_AND_NAMES = [(screen, each.name) for screen in SCREENS for each in journeys_on(screen)]
 
 
-@pytest.mark.parametrize(("played", "name"), PLAYED, indirect=["played"], scope="module")
-def test_journey(played, name):
-    if name in played:
-        raise played[name]
+@pytest.mark.parametrize(("screen", "name"), SCREENS_AND_NAMES)
+def test_journey(play, screen, name):
+    if (error := play(screen).get(name)) is not None:
+        raise error

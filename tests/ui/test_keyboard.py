@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from gsrain_engine.editor.preferences import load_preferences
+from ui.widgets.type_ahead import has_keys, install_type_ahead
 from window_driver import Driver, hello_imgui, imgui
 
 KEY = imgui.Key
@@ -108,3 +109,26 @@ def test_alt_and_a_letter_opens_a_menu(driver):
             assert not driver.ctx.item_exists(f"//$FOCUSED/{command}")
 
     driver.run(script)
+
+
+def test_a_menu_that_was_open_in_an_earlier_window_takes_no_keys():
+    def frames_with_keys_for_menus(*, is_menu_open):
+        install_type_ahead()
+        imgui.create_context()
+        io, found = imgui.get_io(), []
+        io.set_ini_filename("")
+        io.display_size, io.backend_flags = imgui.ImVec2(200, 100), imgui.BackendFlags_.renderer_has_textures
+        for frame in range(5):
+            imgui.new_frame()
+            if frame == 2 and is_menu_open:
+                imgui.open_popup("menu")
+                if imgui.begin_popup("menu"):
+                    imgui.end_popup()
+            if has_keys():
+                found.append(frame)
+            imgui.end_frame()
+        imgui.destroy_context()
+        return found
+
+    assert frames_with_keys_for_menus(is_menu_open=True) == [2, 3, 4]
+    assert frames_with_keys_for_menus(is_menu_open=False) == []

@@ -25,7 +25,8 @@ def test_dragging_the_intensity_is_one_step_and_time_plays(driver):
         assert driver.editor.document.rain.intensity_mm_h == 0
         assert np.array_equal(driver.picture(), clear)
         driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.y))
-        assert driver.editor.document.rain.intensity_mm_h > 1
+        history = driver.editor.document.history
+        assert driver.editor.document.rain.intensity_mm_h > 1, (history.labels, history.cursor)
         still = driver.picture()
         assert np.array_equal(driver.picture(), still)
         driver.click("//View/###Play")

@@ -17,6 +17,10 @@ class _Typed:
     """Text that was typed into the open menu or list."""
 
     def __init__(self) -> None:
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget what was typed into the last window: the frames of the next are counted from 0 again."""
         self.text = ""
         self.is_new = False
         self.open_frame = -2
@@ -55,7 +59,8 @@ def has_keys() -> bool:
 
 
 def install_type_ahead() -> None:
-    """Let the items of Dear ImGui's menus and lists take the focus when their beginning is typed."""
+    """Let the items of Dear ImGui's menus and lists take the focus when their beginning is typed. Once per window."""
+    _typed.forget()
     for name in _ITEMS:
         function = getattr(imgui, name)
         if not hasattr(function, "takes_typed"):

@@ -176,8 +176,10 @@ class CpuTexture:
         """Number of kernels that another process has compiled so far; None if none does."""
 
     def compile(self) -> None:
-        """Start to compile or load the kernels in the background, once."""
-        if not self._is_compiling:
+        """Start to compile or load the kernels in the background, once in a process."""
+        if _are_loaded.is_set():
+            self._compiled.set()
+        elif not self._is_compiling:
             self._is_compiling = True
             threading.Thread(target=self._compile, name="compile kernels", daemon=True).start()
 
@@ -205,11 +207,13 @@ class CpuTexture:
             self.has_failed = True
             logger.exception("The processor's kernels can't be compiled; OpenGL draws instead")
         else:
+            _are_loaded.set()
             self._compiled.set()
 
 
 _loading = threading.Lock()
-
+_are_loaded = threading.Event()
+"""Set as soon as this process has all kernels of a picture in memory."""
 
 _COUNT_S = 0.5  # between reports
 

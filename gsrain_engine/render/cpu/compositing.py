@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Int32
 
 from ...kernels import NOGIL
-from ...rain.medium import RainMedium, less_drawn, way_behind_scene, without_drawn
+from ...rain.medium import RainMedium, less_drawn, depth_behind_scene, without_drawn
 from ...scene.camera import Camera
 from ...scene.geometry import linear_to_srgb
 from ...scene.scene import DrawItem
@@ -554,7 +554,7 @@ def _write_sky(shares, intrinsics, floor, numbers, drawn):
         y = (np.float32(row) + half - cy) * fy
         for column in range(width):
             x = (np.float32(column) + half - cx) * fx
-            z = way_behind_scene(x, y, floor)
+            z = depth_behind_scene(x, y, floor)
             depth, first, last, slope = without_drawn(x * z, y * z, z, numbers)
             lines[0, column], lines[1, column], lines[2, column], lines[3, column] = depth, first, last, slope
         for i in range(width):  # looks up, which is not vectorized

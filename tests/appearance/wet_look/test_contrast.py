@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from built_street import street_of, surfaces_of
+from built_street import SHORT, street_of, surfaces_of
 from gsrain_engine.appearance.scene_views import PlacedCamera, scene_view
 from gsrain_engine.appearance.wet_look.environment import SceneEnvironment
 from gsrain_engine.appearance.wet_look.settings import WetSettings
@@ -19,7 +19,7 @@ LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 @pytest.fixture(scope="module")
 def images():
     """Clear image, that of the dry street under clouds, the computed wet one, and depth of two views below the sky."""
-    surfaces, street = surfaces_of(), street_of()
+    surfaces, street = surfaces_of(SHORT), street_of(SHORT)
     clouds, renderer = street, CpuRenderer()
     for name, quads in surfaces.layers.items():
         clouds = clouds.with_member(f"layers/{name}", gaussians=quads_to_gaussians(quads, surfaces.light("overcast")))

@@ -45,7 +45,7 @@ def street() -> Scene:
     return street_of()
 
 
-def test_the_same_parameters_give_the_same_sound_gaussians(street: Scene, surfaces: StreetSurfaces) -> None:
+def test_gaussians_are_sound_and_those_of_the_quads(street: Scene, surfaces: StreetSurfaces) -> None:
     names = ["road", "pavements", "houses", "trees", *OBJECT_LAYERS, "furniture", "surroundings", "sky"]
     assert [layer.name for layer in street.layers] == names
     assert [layer.name for layer in street.layers if layer.kind == "sky"] == ["sky"]
@@ -54,10 +54,7 @@ def test_the_same_parameters_give_the_same_sound_gaussians(street: Scene, surfac
         assert_valid(each.gaussians)
         color = SH_C0 * each.gaussians.sh[:, 0] + 0.5
         assert color.min() > -0.5 and color.max() < 1.6
-    for each, same in zip(street_of(SHORT).members, build_street(SHORT).members, strict=True):
         assert len(each.gaussians)
-        for array, expected in zip(same.gaussians.arrays, each.gaussians.arrays, strict=True):
-            assert array.tobytes() == expected.tobytes()
     for layer in street.layers:  # Gaussian i is quad i
         np.testing.assert_array_equal(layer.gaussians.means, means_of(surfaces.layers[layer.name]))
 
@@ -80,14 +77,10 @@ def test_the_road_is_flat_whole_and_marked_in_its_middle(street: Scene, surfaces
         assert 0.3 < painted[(at[:, 0] > start) & (at[:, 0] < start + 3)].mean() < 0.6
 
 
-@pytest.mark.parametrize(
-    "parameters",
-    [
-        None,
-        StreetParameters(seed=11, tree_spacing_m=8.0, parked_share=1.0),
-        StreetParameters(seed=12, parking_width_m=2.6, pavement_width_m=2.5, parked_share=0.9),
-    ],
-)
+NARROW = StreetParameters(seed=11, tree_spacing_m=8.0, parking_width_m=2.6, pavement_width_m=2.5, parked_share=1.0)
+
+
+@pytest.mark.parametrize("parameters", [None, NARROW])
 def test_nothing_stands_in_the_lanes_or_where_trucks_and_buses_stand(
     surfaces: StreetSurfaces, parameters: StreetParameters | None
 ) -> None:
