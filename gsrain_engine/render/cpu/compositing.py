@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Int32
 
 from ...kernels import NOGIL
-from ...rain.medium import RainMedium, less_drawn, depth_behind_scene, without_drawn
+from ...rain.medium import RainMedium, depth_behind_scene, less_drawn, without_drawn
 from ...scene.camera import Camera
 from ...scene.geometry import linear_to_srgb
 from ...scene.scene import DrawItem

@@ -284,9 +284,10 @@ def walk_columns(tiles, shapes, channels, lines, enter, visit, leave, data):
     """Walk over tiles as `walk_tiles` does, and in each batch of splats over the columns of pixels, then the splats.
 
     So the lines of a column are held in registers while all splats of a batch are blended into it. That takes 0.7 of
-    the time, for kernels that need no sums over a splat's pixels. Each pixel meets the same splats in the same order. `visit` is called as visit(line, falloff, channels, j, data) for each splat and column;
-    `walk_rows` takes `line` and `falloff`, and row j of `channels` is the splat's. `lines` is a number or a constant's
-    name, since a sum has no constant type for Numba.
+    the time, for kernels that need no sums over a splat's pixels. Each pixel meets the same splats in the same order.
+    `visit` is called as visit(line, falloff, channels, j, data) for each splat and column; `walk_rows` takes `line` and
+    `falloff`, and row j of `channels` is the splat's. `lines` is a number or a constant's name, since a sum has no
+    constant type for Numba.
     """
     width, height, starts, members = tiles
     real = shapes.dtype.type
