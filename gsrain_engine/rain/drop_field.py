@@ -157,23 +157,25 @@ def mark_drops(
     the streak region are marked.
     """
     for chunk in numba.prange(CLASSES // _CLASSES_BY_CHUNK):
+        drawn = np.empty((5, found.shape[1]), np.uint32)
         for c in range(chunk * _CLASSES_BY_CHUNK, (chunk + 1) * _CLASSES_BY_CHUNK):
             first, row = np.uint32((c * FIRST_OF_CLASS) % CLASSES), found[c]
             _mark_class(
-                first, count, seed, wraps[c], fractions[c], geometry, margins[c], far[c], everywhere, row, air_rows,
-                air_classes[c], air_numbers,
+                first, count, seed, wraps[c], fractions[c], geometry, margins[c], far[c], everywhere, row, drawn,
+                air_rows, air_classes[c], air_numbers,
             )  # fmt: skip
 
 
 @numba.njit
 @no_type_check
 def _mark_class(
-    first, count, seed, wraps, fractions, geometry, margin, far, everywhere, found, air_rows, air_class, air_numbers
-):
+    first, count, seed, wraps, fractions, geometry, margin, far, everywhere, found, drawn, air_rows, air_class,
+    air_numbers,
+):  # fmt: skip
     """Place the drops of a class as `place_drops` does and test them.
 
     The first loop tests heights, and x as far as it is known without a table, branch-free for LLVM's vectorizer; the
-    second tests all of the drops that are left.
+    second tests all of the drops that are left, with what the first has `drawn` of them.
     """
     # Copied to locals: the compiler can't prove that writes to `found` leave `geometry` unchanged.
     period_x, period_y, period_z = geometry[0], geometry[1], geometry[2]
@@ -206,7 +208,9 @@ def _mark_class(
         fraction_z = np.uint32(start_z + moved_z)
         z = (fraction_z * half - 0.5) * period_z
         wrap_z = np.uint32(wraps_z + np.uint32(fraction_z < start_z))
-        start_x, drawn_x, _, _ = pcg4d_scalar(i, wrap_z, one, seed)
+        start_x, drawn_x, drawn_y, _ = pcg4d_scalar(i, wrap_z, one, seed)
+        drawn[0, k], drawn[1, k], drawn[2, k], drawn[3, k] = fraction_z, wrap_z, start_x, drawn_x
+        drawn[4, k] = drawn_y
         height = low + np.float32(fraction_z >> np.uint32(8)) * _FRACTION * tall
         x = np.float32(np.uint32(start_x + moved_x) >> np.uint32(8)) * _FRACTION
         x = x + np.float32(own_steps(drawn_x)) * own_x * height - first_x
@@ -216,10 +220,9 @@ def _mark_class(
         if not found[k]:
             continue
         i = np.uint32(first + np.uint32(k) * np.uint32(CLASSES))
-        _, _, start_z, _ = pcg4d_scalar(i, zero, zero, seed)
-        fraction_z = np.uint32(start_z + moved_z)
-        wrap_z = np.uint32(wraps_z + np.uint32(fraction_z < start_z))
-        start_x, drawn_x, drawn_y, _ = pcg4d_scalar(i, wrap_z, one, seed)
+        fraction_z, wrap_z, start_x, drawn_x, drawn_y = (
+            drawn[0, k], drawn[1, k], drawn[2, k], drawn[3, k], drawn[4, k],
+        )  # fmt: skip
         node, share = np.uint32(fraction_z >> np.uint32(24)), np.float32(fraction_z & np.uint32(0xFFFFFF)) * _FRACTION
         height = low + np.float32(fraction_z >> np.uint32(8)) * _FRACTION * tall
         offset = offset_x(air_rows, air_numbers, slow, gust, own, node, share, height, own_steps(drawn_x))

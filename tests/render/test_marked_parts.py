@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gsrain_engine.presets import shipped_path
-from gsrain_engine.render.cpu import projection
+from gsrain_engine.render.cpu import splats
 from gsrain_engine.render.cpu.compositing import color_operator
 from gsrain_engine.render.cpu.projection import FEW, project
 from gsrain_engine.render.cpu.renderer import CpuRenderer
@@ -117,15 +117,15 @@ def test_the_tint_is_half_of_what_is_selected_and_nothing_else(count):
     assert 0 < chosen.sum() < len(chosen)
     np.testing.assert_array_equal(marked.shapes, plain.shapes)
     np.testing.assert_array_equal(marked.colors[~chosen], plain.colors[~chosen])
-    expected = 0.5 * plain.colors[chosen, :3] + 0.5 * np.array(projection.TINT, np.float32)
+    expected = 0.5 * plain.colors[chosen, :3] + 0.5 * np.array(splats.TINT, np.float32)
     np.testing.assert_allclose(marked.colors[chosen, :3], expected, atol=1e-6)
 
 
 def test_shader_and_kernels_have_the_same_tint():
     text = (shipped_path("shaders") / "common_tint.glsl").read_text(encoding="utf-8")
     color, share = re.search(r"TINT = vec3\((.*)\)", text)[1], re.search(r"TINT_SHARE = ([\d.]+);", text)[1]
-    assert tuple(map(float, color.split(","))) == projection.TINT
-    assert float(share) == projection.TINT_SHARE
+    assert tuple(map(float, color.split(","))) == splats.TINT
+    assert float(share) == splats.TINT_SHARE
 
 
 def test_what_is_left_out_has_no_weight_in_a_view():

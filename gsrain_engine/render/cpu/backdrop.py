@@ -20,11 +20,13 @@ from ...scene.scene import DrawItem
 from .block_cache import BlockCaches
 from .compositing import (
     FILM,
+    NO_SKY,
     OPEN,
     RAIN_LINES,
     RAIN_SHARE,
     SCENE_SHARE,
     Film,
+    SkyLayer,
     composite_wet,
     dim_by_medium,
     expected,
@@ -35,8 +37,8 @@ from .compositing import (
 )
 from .fast_math import FAST
 from .projection import project
-from .splats import MIN_SCENE_CUT, Splats
-from .tiles import TILE, TileLists, absorb, alpha_at, bin_into_tiles, walk_pixels, walk_tiles
+from .splats import Splats
+from .tiles import TILE, TileLists, absorb, bin_into_tiles, is_rain, walk_columns, walk_rows
 
 _MIN_ALPHA = np.float32(1e-3)  # below which a pixel of the backdrop has no depth: nothing is behind it
 
@@ -51,8 +53,8 @@ class Backdrop:
     """Expected depth along the view axis in meters; infinite where the scene is empty."""
     film: Float32[np.ndarray, "h w 2"]
     """Visible shares of films and standing water."""
-    sky: Float32[np.ndarray, "r c 4"]
-    """Layer of the medium behind the scene; without pixels if there is none."""
+    sky: SkyLayer
+    """Layer of the medium behind the scene."""
     gaussians: int
     """Number of Gaussians that were considered."""
 
@@ -78,7 +80,7 @@ def draw_backdrop(
     rgba, weighted = composite_wet(splats.shapes, splats.colors, tiles, film)
     depth = expected(weighted, rgba[..., 3], _MIN_ALPHA)
     depth[depth <= 0] = np.inf
-    sky = np.empty((0, 0, 4), np.float32) if medium is None else sky_layer(medium, camera)
+    sky = NO_SKY if medium is None else sky_layer(medium, camera)
     return Backdrop(rgba, depth, film.visible, sky, sum(part.drawn_count for part in parts))
 
 
@@ -93,25 +95,26 @@ def composite_over(
     height, width = tiles.height, tiles.width
     rgba, visible = np.empty((height, width, 4), np.float32), np.empty((height, width, 2), np.float32)
     fourth, alpha = (np.empty((height, width), np.float32) for _ in range(2))
-    images = rgba, fourth, visible, alpha, light_linear, backdrop.sky
+    images = rgba, fourth, visible, alpha, light_linear, *backdrop.sky
     _composite_over(tiles, splats.shapes, splats.colors, (*images, backdrop.rgba, backdrop.depth, backdrop.film))
     return rgba, visible
 
 
 # Lines of a tile's column as in rain, and two more: depth and alpha of the backdrop.
 _DEPTH, _ALPHA = RAIN_LINES * TILE, (RAIN_LINES + 1) * TILE
+_LINES = RAIN_LINES + 2
 
 
 @numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _composite_over(tiles, shapes, channels, images):
-    walk_tiles(tiles, shapes, channels, RAIN_LINES + 2, 0, _enter, _visit_over, _store_over, images)
+    walk_columns(tiles, shapes, channels, _LINES, _enter, _visit_over, _store_over, images)
 
 
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)
 @no_type_check
 def _enter(state, x0, y0, images):
-    rgba, depth = images[6], images[7]
+    rgba, depth = images[7], images[8]
     height, width = depth.shape
     open_to_rain(state, x0, y0, images)
     for v in range(min(TILE, height - y0)):
@@ -122,31 +125,19 @@ def _enter(state, x0, y0, images):
 
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)
 @no_type_check
-def _visit_over(shapes, channels, j, x, y, state, lanes, k, images):
-    if shapes[j, 6] < MIN_SCENE_CUT:
-        _blend_rain(shapes[j], channels[j, 3], x, y, state)
+def _visit_over(line, falloff, channels, j, images):
+    if is_rain(falloff):
+        walk_rows(line, falloff, _share_rain, (channels[j, 3],))
     else:
-        _blend_moving(shapes[j], channels[j], x, y, state)
-
-
-@numba.njit(error_model="numpy", fastmath=FAST)
-@no_type_check
-def _blend_rain(shape, depth, x, y, state):
-    walk_pixels(shape, x, y, state, (), _share_rain, (depth,))
-
-
-@numba.njit(error_model="numpy", fastmath=FAST)
-@no_type_check
-def _blend_moving(shape, channels, x, y, state):
-    walk_pixels(shape, x, y, state, (), _share_moving, (channels[0], channels[1], channels[2], channels[3]))
+        walk_rows(line, falloff, _share_moving, (channels[j, 0], channels[j, 1], channels[j, 2], channels[j, 3]))
 
 
 @numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)
 @no_type_check
-def _share_rain(line, v, dx, dy, falloff, lanes, data):
+def _share_rain(line, v, alpha, data):
     one, none = np.float32(1), np.float32(0)
     left = line[v] * (one - (line[v + _ALPHA] if data[0] > line[v + _DEPTH] else none))
-    share = line[v + OPEN] * alpha_at(line, dx, dy, falloff)
+    share = line[v + OPEN] * alpha
     line[v + OPEN] -= share
     line[v + RAIN_SHARE] += share * left
     line[v + SCENE_SHARE] += share * (one - left)
@@ -154,10 +145,10 @@ def _share_rain(line, v, dx, dy, falloff, lanes, data):
 
 @numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)
 @no_type_check
-def _share_moving(line, v, dx, dy, falloff, lanes, channels):
+def _share_moving(line, v, alpha, channels):
     one, none = np.float32(1), np.float32(0)
     left = one - (line[v + _ALPHA] if channels[3] > line[v + _DEPTH] else none)
-    weight = absorb(line, v, left * alpha_at(line, dx, dy, falloff))
+    weight = absorb(line, v, left * alpha)
     line[v + TILE] += weight * channels[0]
     line[v + 2 * TILE] += weight * channels[1]
     line[v + 3 * TILE] += weight * channels[2]
@@ -167,7 +158,7 @@ def _share_moving(line, v, dx, dy, falloff, lanes, channels):
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)
 @no_type_check
 def _store_over(state, x0, y0, images):
-    back, film = images[6], images[8]
+    back, film = images[7], images[9]
     height, width = film.shape[:2]
     for v in range(min(TILE, height - y0)):
         for u in range(min(TILE, width - x0)):

@@ -13,10 +13,22 @@ from ...rain.medium import RainMedium, depth_behind_scene, less_drawn, without_d
 from ...scene.camera import Camera
 from ...scene.geometry import linear_to_srgb
 from ...scene.scene import DrawItem
-from .fast_math import FAST, exponential, power
+from .fast_math import FAST, exponential, power, stack_lines
 from .projection import project
 from .splats import MIN_SCENE_CUT, Splats
-from .tiles import TILE, TileLists, absorb, alpha_at, bin_into_tiles, nothing, walk_pixels, walk_tiles
+from .tiles import (
+    TILE,
+    TileLists,
+    absorb,
+    alpha_at,
+    bin_into_tiles,
+    is_rain,
+    nothing,
+    walk_columns,
+    walk_pixels,
+    walk_rows,
+    walk_tiles,
+)
 
 
 def composite(
@@ -54,6 +66,23 @@ class Film(NamedTuple):
         return cls(of_splats, np.empty((tiles.height, tiles.width, 2), np.float32))
 
 
+class SkyLayer(NamedTuple):
+    """Layer of one color behind the scene and before the background."""
+
+    shares: Float32[np.ndarray, "r c"]
+    """Share of each pixel that it covers; one for all pixels, or none without a layer."""
+    color: Float32[np.ndarray, "4"]
+    """Display color and alpha of 1."""
+
+    @property
+    def rgba(self) -> Float32[np.ndarray, "r c 4"]:
+        """Premultiplied display color with alpha."""
+        return self.shares[..., None] * self.color
+
+
+NO_SKY = SkyLayer(np.zeros((0, 0), np.float32), np.zeros(4, np.float32))
+
+
 def film_of_splats(splats: Splats, parts: Sequence[DrawItem]) -> Float32[np.ndarray, "m 2"]:
     """Shares of films and standing water on each splat; none on rain."""
     film = np.zeros((len(splats), 2), np.float32)
@@ -80,7 +109,7 @@ def composite_in_rain(
     channels: Float32[np.ndarray, "m 4"],
     light_linear: Float32[np.ndarray, "3"],
     tiles: TileLists,
-    sky: Float32[np.ndarray, "r c 4"] | None = None,
+    sky: SkyLayer = NO_SKY,
     lamp_light: Float32[np.ndarray, "h w 3"] | None = None,
     film: Film | None = None,
 ) -> tuple[Float32[np.ndarray, "h w 4"], Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
@@ -88,20 +117,18 @@ def composite_in_rain(
 
     With T_i the product of 1 - alpha_j over all nearer splats, of scene and rain alike, the shares of the scene and of
     the rain are the sums of alpha_i T_i over their own splats. Rain behind opaque surfaces is hidden. `add_rain_light`
-    combines the shares into the image. Returns it, and the fourth channel and alpha of the scene alone. `sky` is a
-    premultiplied layer, or one pixel for all of it, behind the scene and before the background. If `lamp_light` is
-    there, the channels of rain are its light of lamps in linear light, and what is visible of that is written there.
+    combines the shares into the image. Returns it, and the fourth channel and alpha of the scene alone. If `lamp_light`
+    is there, the channels of rain are its light of lamps in linear light, and what is visible of that is written there.
     The `film` is blended without the rain in front of it.
     """
     rgba = np.empty((tiles.height, tiles.width, 4), np.float32)
     fourth, alpha = (np.empty((tiles.height, tiles.width), np.float32) for _ in range(2))
-    behind = np.empty((0, 0, 4), np.float32) if sky is None else sky
     visible = np.empty((0, 0, 2), np.float32) if film is None else film.visible
     channels = channels if film is None else np.hstack([channels, film.of_splats])
     if lamp_light is None:
-        _composite_rain(tiles, shapes, channels, (rgba, fourth, visible, alpha, light_linear, behind))
+        _composite_rain(tiles, shapes, channels, (rgba, fourth, visible, alpha, light_linear, *sky))
     else:
-        _composite_lit_rain(tiles, shapes, channels, (rgba, fourth, visible, alpha, light_linear, behind, lamp_light))
+        _composite_lit_rain(tiles, shapes, channels, (rgba, fourth, visible, alpha, light_linear, *sky, lamp_light))
     return rgba, fourth, alpha
 
 
@@ -112,110 +139,80 @@ def composite_in_rain(
 @numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _composite(tiles, shapes, channels, images):
-    walk_tiles(tiles, shapes, channels, 6, 0, nothing, _visit, _store, images)
+    walk_columns(tiles, shapes, channels, 6, nothing, _visit, _store, images)
 
 
 @numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _composite_rain(tiles, shapes, channels, images):
-    walk_tiles(tiles, shapes, channels, RAIN_LINES, 0, open_to_rain, _visit_in_rain, store_rain, images)
+    walk_columns(tiles, shapes, channels, RAIN_LINES, open_to_rain, _visit_in_rain, store_rain, images)
 
 
 @numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _composite_lit_rain(tiles, shapes, channels, images):
-    walk_tiles(tiles, shapes, channels, RAIN_LINES + 3, 0, open_to_rain, _visit_in_lit_rain, _store_lit_rain, images)
+    walk_columns(tiles, shapes, channels, _LIT_LINES, open_to_rain, _visit_in_lit_rain, _store_lit_rain, images)
 
 
 @numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _composite_veil(tiles, shapes, channels, images):
-    walk_tiles(tiles, shapes, channels, 7, 0, nothing, _visit_behind_veil, _store_veil, images)
+    walk_columns(tiles, shapes, channels, 7, nothing, _visit_behind_veil, _store_veil, images)
 
 
 @numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _composite_wet(tiles, shapes, channels, images):
-    walk_tiles(tiles, shapes, channels, 8, 0, nothing, _visit_wet, _store_wet, images)
+    walk_columns(tiles, shapes, channels, 8, nothing, _visit_wet, _store_wet, images)
 
 
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)
 @no_type_check
-def _visit(shapes, channels, j, x, y, state, lanes, k, images):
-    _blend_scene(shapes[j], channels[j], x, y, state)
+def _visit(line, falloff, channels, j, images):
+    walk_rows(line, falloff, _blend, (channels[j, 0], channels[j, 1], channels[j, 2], channels[j, 3]))
 
 
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)
 @no_type_check
-def _visit_wet(shapes, channels, j, x, y, state, lanes, k, images):
+def _visit_wet(line, falloff, channels, j, images):
     if channels.shape[1] > 4 and channels[j, 4] + channels[j, 5] > 0:
-        _blend_film(shapes[j], channels[j], x, y, state)
+        light = channels[j, 0], channels[j, 1], channels[j, 2], channels[j, 3], channels[j, 4], channels[j, 5]
+        walk_rows(line, falloff, _blend_film, light)
     else:
-        _blend_scene(shapes[j], channels[j], x, y, state)
+        _visit(line, falloff, channels, j, images)
 
 
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)
 @no_type_check
-def _visit_in_rain(shapes, channels, j, x, y, state, lanes, k, images):
-    if shapes[j, 6] < MIN_SCENE_CUT:
-        _blend_rain(shapes[j], x, y, state)
+def _visit_in_rain(line, falloff, channels, j, images):
+    if is_rain(falloff):
+        walk_rows(line, falloff, _share_rain, ())
     else:
-        _visit_wet(shapes, channels, j, x, y, state, lanes, k, images)
+        _visit_wet(line, falloff, channels, j, images)
 
 
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)
 @no_type_check
-def _visit_in_lit_rain(shapes, channels, j, x, y, state, lanes, k, images):
-    if shapes[j, 6] < MIN_SCENE_CUT:
-        _blend_lit_rain(shapes[j], channels[j], x, y, state)
+def _visit_in_lit_rain(line, falloff, channels, j, images):
+    if is_rain(falloff):
+        walk_rows(line, falloff, _share_lit_rain, (channels[j, 0], channels[j, 1], channels[j, 2]))
     else:
-        _visit_wet(shapes, channels, j, x, y, state, lanes, k, images)
+        _visit_wet(line, falloff, channels, j, images)
 
 
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)
 @no_type_check
-def _visit_behind_veil(shapes, channels, j, x, y, state, lanes, k, images):
-    if shapes[j, 6] < MIN_SCENE_CUT:
-        _blend_veil(shapes[j], x, y, state)
+def _visit_behind_veil(line, falloff, channels, j, images):
+    if is_rain(falloff):
+        walk_rows(line, falloff, _share_veil, ())
     else:
-        _blend_scene(shapes[j], channels[j], x, y, state)
-
-
-@numba.njit(error_model="numpy", fastmath=FAST)
-@no_type_check
-def _blend_scene(shape, channels, x, y, state):
-    walk_pixels(shape, x, y, state, (), _blend, (channels[0], channels[1], channels[2], channels[3]))
-
-
-@numba.njit(error_model="numpy", fastmath=FAST)
-@no_type_check
-def _blend_film(shape, channels, x, y, state):
-    light = channels[0], channels[1], channels[2], channels[3], channels[4], channels[5]
-    walk_pixels(shape, x, y, state, (), _share_film, light)
-
-
-@numba.njit(error_model="numpy", fastmath=FAST)
-@no_type_check
-def _blend_rain(shape, x, y, state):
-    walk_pixels(shape, x, y, state, (), _share_rain, ())
-
-
-@numba.njit(error_model="numpy", fastmath=FAST)
-@no_type_check
-def _blend_lit_rain(shape, light, x, y, state):
-    walk_pixels(shape, x, y, state, (), _share_lit_rain, (light[0], light[1], light[2]))
-
-
-@numba.njit(error_model="numpy", fastmath=FAST)
-@no_type_check
-def _blend_veil(shape, x, y, state):
-    walk_pixels(shape, x, y, state, (), _share_veil, ())
+        _visit(line, falloff, channels, j, images)
 
 
 @numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)
 @no_type_check
-def _blend(line, v, dx, dy, falloff, lanes, channels):
-    weight = absorb(line, v, alpha_at(line, dx, dy, falloff))
+def _blend(line, v, alpha, channels):
+    weight = absorb(line, v, alpha)
     line[v + TILE] += weight * channels[0]
     line[v + 2 * TILE] += weight * channels[1]
     line[v + 3 * TILE] += weight * channels[2]
@@ -225,8 +222,8 @@ def _blend(line, v, dx, dy, falloff, lanes, channels):
 
 @numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)
 @no_type_check
-def _share_film(line, v, dx, dy, falloff, lanes, channels):
-    weight = absorb(line, v, alpha_at(line, dx, dy, falloff))
+def _blend_film(line, v, alpha, channels):
+    weight = absorb(line, v, alpha)
     line[v + TILE] += weight * channels[0]
     line[v + 2 * TILE] += weight * channels[1]
     line[v + 3 * TILE] += weight * channels[2]
@@ -238,13 +235,13 @@ def _share_film(line, v, dx, dy, falloff, lanes, channels):
 
 @numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)
 @no_type_check
-def _share_rain(line, v, dx, dy, falloff, lanes, nothing):
+def _share_rain(line, v, alpha, nothing):
     """Blend a rain fragment and occlude splats behind it; the lines of the clear scene are unchanged.
 
     Of all light that enters a pixel, `share` meets its first drop here. The scene in front had covered A of that; the
     rest shows the drop.
     """
-    share = line[v + OPEN] * alpha_at(line, dx, dy, falloff)
+    share = line[v + OPEN] * alpha
     line[v + OPEN] -= share
     line[v + RAIN_SHARE] += share * line[v]
     line[v + SCENE_SHARE] += share * line[v + 5 * TILE]
@@ -252,9 +249,9 @@ def _share_rain(line, v, dx, dy, falloff, lanes, nothing):
 
 @numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)
 @no_type_check
-def _share_lit_rain(line, v, dx, dy, falloff, lanes, light):
+def _share_lit_rain(line, v, alpha, light):
     """Blend a rain fragment as `_share_rain` does, and add up its light of lamps."""
-    share = line[v + OPEN] * alpha_at(line, dx, dy, falloff)
+    share = line[v + OPEN] * alpha
     shown = share * line[v]
     line[v + OPEN] -= share
     line[v + RAIN_SHARE] += shown
@@ -266,9 +263,9 @@ def _share_lit_rain(line, v, dx, dy, falloff, lanes, light):
 
 @numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)
 @no_type_check
-def _share_veil(line, v, dx, dy, falloff, lanes, nothing):
+def _share_veil(line, v, alpha, nothing):
     """Occlude splats behind a rain fragment and accumulate its share; the color is added at the end."""
-    share = line[v] * alpha_at(line, dx, dy, falloff)
+    share = line[v] * alpha
     line[v] -= share
     line[v + VEIL_SHARE] += share
 
@@ -286,11 +283,14 @@ def _store(state, x0, y0, images):
     height, width = fourth.shape
     for v in range(min(TILE, height - y0)):
         for u in range(min(TILE, width - x0)):
-            rgba[y0 + v, x0 + u, 0] = state[u, TILE + v]
-            rgba[y0 + v, x0 + u, 1] = state[u, 2 * TILE + v]
-            rgba[y0 + v, x0 + u, 2] = state[u, 3 * TILE + v]
-            rgba[y0 + v, x0 + u, 3] = state[u, 5 * TILE + v]
-            fourth[y0 + v, x0 + u] = state[u, 4 * TILE + v]
+            # All loads before all stores, since LLVM can't know that they don't overlap.
+            red, green, blue = state[u, TILE + v], state[u, 2 * TILE + v], state[u, 3 * TILE + v]
+            weighted, alpha = state[u, 4 * TILE + v], state[u, 5 * TILE + v]
+            rgba[y0 + v, x0 + u, 0] = red
+            rgba[y0 + v, x0 + u, 1] = green
+            rgba[y0 + v, x0 + u, 2] = blue
+            rgba[y0 + v, x0 + u, 3] = alpha
+            fourth[y0 + v, x0 + u] = weighted
 
 
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)
@@ -308,20 +308,24 @@ def _store_wet(state, x0, y0, images):
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)
 @no_type_check
 def store_rain(state, x0, y0, images):
-    clear_alpha, light_linear, sky = images[3], images[4], images[5]
+    clear_alpha, light_linear, shares, color = images[3], images[4], images[5], images[6]
     height, width = clear_alpha.shape
     for v in range(min(TILE, height - y0)):
         for u in range(min(TILE, width - x0)):
             clear_alpha[y0 + v, x0 + u] = state[u, 5 * TILE + v]
-    for v in range(min(TILE, height - y0) if len(sky) > 0 else 0):
-        row = min(y0 + v, len(sky) - 1)
+    if len(shares) > 0:
+        red, green, blue, alpha = color[0], color[1], color[2], color[3]
+        behind = stack_lines(1, TILE, state.dtype)
         for u in range(min(TILE, width - x0)):
-            behind = sky[row, min(x0 + u, sky.shape[1] - 1)]
-            open_share = np.float32(1) - state[u, 5 * TILE + v]
-            state[u, TILE + v] += open_share * behind[0]
-            state[u, 2 * TILE + v] += open_share * behind[1]
-            state[u, 3 * TILE + v] += open_share * behind[2]
-            state[u, 5 * TILE + v] += open_share * behind[3]
+            column = min(x0 + u, shares.shape[1] - 1)
+            for v in range(TILE):
+                behind[v] = shares[min(y0 + v, len(shares) - 1), column]
+            for v in range(TILE):
+                open_share = np.float32(1) - state[u, 5 * TILE + v]
+                state[u, TILE + v] += open_share * (behind[v] * red)
+                state[u, 2 * TILE + v] += open_share * (behind[v] * green)
+                state[u, 3 * TILE + v] += open_share * (behind[v] * blue)
+                state[u, 5 * TILE + v] += open_share * (behind[v] * alpha)
     for u in range(min(TILE, width - x0)):
         add_rain_light(state[u], light_linear)
     _store_wet(state, x0, y0, images)
@@ -330,7 +334,7 @@ def store_rain(state, x0, y0, images):
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)
 @no_type_check
 def _store_lit_rain(state, x0, y0, images):
-    lamp_light = images[6]
+    lamp_light = images[7]
     height, width = lamp_light.shape[:2]
     for u in range(min(TILE, width - x0)):
         for v in range(min(TILE, height - y0)):
@@ -366,6 +370,7 @@ OPEN, RAIN_SHARE, SCENE_SHARE = 8 * TILE, 9 * TILE, 10 * TILE
 VEIL_SHARE = 6 * TILE  # offset of the rain's share in a column if its color is added at the end
 RAIN_LINES = 11  # lines of a column in rain
 LAMP_LIGHT = RAIN_LINES * TILE  # offset of the three lines of the rain's light of lamps
+_LIT_LINES = RAIN_LINES + 3
 
 
 @numba.njit(error_model="numpy", fastmath=FAST)
@@ -525,26 +530,23 @@ def _add_light(rgba, light):
                 rgba[row, column, channel] = before[column]
 
 
-def sky_layer(medium: RainMedium, camera: Camera) -> Float32[np.ndarray, "h w 4"]:
-    """Airlight of the medium behind the scene, as a premultiplied display color with alpha.
-
-    One pixel, for all, if the medium has neither a region nor a floor.
-    """
+def sky_layer(medium: RainMedium, camera: Camera) -> SkyLayer:
+    """Airlight of the medium behind the scene."""
     color = np.append(linear_to_srgb(medium.airlight_linear), 1).astype(np.float32)
     if medium.is_endless:
-        return color[None, None]
+        return SkyLayer(np.ones((1, 1), np.float32), color)
     if not camera.is_pinhole:
-        return (1 - medium.sky_transmittance(camera.rays))[..., None] * color
-    layer = np.empty((camera.height, camera.width, 4), np.float32)
+        return SkyLayer(1 - medium.sky_transmittance(camera.rays), color)
+    shares = np.empty((camera.height, camera.width), np.float32)
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
-    _paint_sky(layer, color, intrinsics, medium.floor, medium.numbers, medium.drawn)
-    return layer
+    _write_sky(shares, intrinsics, medium.floor, medium.numbers, medium.drawn)
+    return SkyLayer(shares, color)
 
 
 @numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
 @no_type_check
-def _paint_sky(layer, color, intrinsics, floor, numbers, drawn):
-    height, width = layer.shape[:2]
+def _write_sky(shares, intrinsics, floor, numbers, drawn):
+    height, width = shares.shape
     one, half = np.float32(1), np.float32(0.5)
     fx, fy, cx, cy = one / intrinsics[0], one / intrinsics[1], intrinsics[2], intrinsics[3]
     for row in numba.prange(height):
@@ -558,10 +560,7 @@ def _paint_sky(layer, color, intrinsics, floor, numbers, drawn):
         for i in range(width):  # looks up, which is not vectorized
             lines[4, i] = less_drawn(lines[0, i], lines[1, i], lines[2, i], lines[3, i], numbers[1], drawn)
         for column in range(width):
-            lines[4, column] = one - exponential(-lines[4, column])
-        for column in range(width):
-            for channel in range(4):
-                layer[row, column, channel] = lines[4, column] * color[channel]
+            shares[row, column] = one - exponential(-lines[4, column])
 
 
 # Transpose of compositing

@@ -1,11 +1,13 @@
-"""Vectorizable exponential, power and spherical harmonics for compiled kernels."""
+"""Vectorizable exponential, power and spherical harmonics for compiled kernels, and numbers held in registers."""
 
 from typing import no_type_check
 
 import numba
 import numpy as np
 from jaxtyping import Float32
+from llvmlite import ir
 from numba import extending, types
+from numba.core import cgutils
 
 from ...kernels import NOGIL
 
@@ -107,6 +109,34 @@ def power(x, exponent):
     q = q * f + np.float32(0.69314718)
     q = q * f + np.float32(1)
     return q * np.int32((np.int32(whole) + 127) << 23).view(np.float32)
+
+
+# Registers
+
+
+@extending.intrinsic(prefer_literal=True)
+@no_type_check
+def _stack_numbers(context, lines, length, dtype):
+    """Pointer to lines of numbers on the stack; `lines` and `length` are constant."""
+    number, count = dtype.dtype, lines.literal_value * length.literal_value
+
+    @no_type_check
+    def generate(context, builder, signature, arguments):
+        numbers = cgutils.alloca_once(builder, ir.ArrayType(context.get_value_type(number), count))
+        numbers.align = 64
+        return builder.bitcast(numbers, context.get_value_type(number).as_pointer())
+
+    return types.CPointer(number)(lines, length, dtype), generate
+
+
+@numba.njit(inline="always")
+@no_type_check
+def stack_lines(lines, length, dtype):
+    """Array of lines of numbers one after the other, not initialized, on the stack; both counts are constant.
+
+    Nothing else can be at its address, so that LLVM holds it in registers during loops that use it by constant places.
+    """
+    return numba.carray(_stack_numbers(lines, length, dtype), lines * length)
 
 
 # Spherical harmonics

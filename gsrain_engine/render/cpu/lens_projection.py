@@ -23,13 +23,12 @@ from .splats import (
     LOG_RAIN_CUT,
     NEAR_M,
     RAIN_ALPHA_CUT,
-    TINT,
-    TINT_SHARE,
-    color_of,
+    direction_to,
     eye_in_object,
     has_bit,
     mask_words,
     rotation_columns,
+    write_colors,
     write_shape,
 )
 
@@ -144,29 +143,31 @@ def project_through_lens(
 ):  # fmt: skip
     """Fill shapes, colors and points (in the camera's frame) of one part; depth 0 marks those not to be drawn."""
     for chunk in numba.prange((len(members) + CHUNK - 1) // CHUNK):
-        basis, eye = np.empty(16, np.float32), eyes[0].copy()
-        for n in range(chunk * CHUNK, min(len(members), (chunk + 1) * CHUNK)):
+        first, last = chunk * CHUNK, min(len(members), (chunk + 1) * CHUNK)
+        directions, eye = np.zeros((CHUNK, 3), np.float32), eyes[0].copy()
+        for n in range(first, last):
             i = members[n]
             is_rain = len(rain) > 0 and rain[i]
             depth = _shape(
                 means[i], scales[i], quaternions[i], opacity * opacities[i], is_rain, as_points, antialiased,
                 matrices, moves, intrinsics, lens, scan, by_distance, edges, shapes[n], points[n],
             )  # fmt: skip
-            if moves and depth > 0:
+            colors[n, 3] = depth
+            if not depth > 0:
+                shapes[n, :] = 0
+                colors[n, :] = 0
+                continue
+            if moves:
                 u, v = (shapes[n, 0] - intrinsics[2]) / intrinsics[0], (shapes[n, 1] - intrinsics[3]) / intrinsics[1]
                 part = min(max(scan[0] * u + scan[1] * v + scan[2], -_MAX_PART), _MAX_PART)
                 for k in range(3):
                     eye[k] = eyes[0, k] + part * (eyes[1, k] + part * eyes[2, k])
-            if not (depth > 0 and color_of(means[i], sh, wet_sh, i, wetness, eye, change, basis, colors[n])):
-                for k in range(8):
-                    shapes[n, k] = 0
-                for k in range(3):
-                    colors[n, k] = points[n, k] = 0
-                depth = 0.0
-            elif len(selected) > 0 and has_bit(selected, i):
-                for k in range(3):
-                    colors[n, k] += np.float32(TINT_SHARE) * (np.float32(TINT[k]) - colors[n, k])
-            colors[n, 3] = depth
+            mean = means[i, 0], means[i, 1], means[i, 2]
+            directions[n - first, 0], directions[n - first, 1], directions[n - first, 2] = direction_to(mean, eye)
+        write_colors(first, last, members, directions, sh, wet_sh, wetness, change, selected, shapes, colors)
+        for n in range(first, last):
+            if not colors[n, 3] > 0:
+                points[n, :] = 0
 
 
 @numba.njit(error_model="numpy")

@@ -11,6 +11,7 @@ from ...kernels import NOGIL
 from ...scene.camera import Camera
 from ...scene.scene import DrawItem
 from .block_cache import BlockCaches
+from .fast_math import stack_lines
 from .lens_projection import RollingPose, lens_candidates, lens_view, project_through_lens, rolling_pose
 from .splats import (
     CHUNK,
@@ -19,16 +20,18 @@ from .splats import (
     LOG_RAIN_CUT,
     NEAR_M,
     RAIN_ALPHA_CUT,
-    TINT,
-    TINT_SHARE,
     Splats,
-    color_of,
+    direction_to,
     eye_in_object,
     has_bit,
     mask_words,
     rotation_columns,
-    write_shape,
+    shape_of,
+    with_footprint,
+    write_colors,
 )
+
+_BLOCK = 64  # Gaussians that are projected together
 
 
 def project(
@@ -202,55 +205,87 @@ def _project_range(
     first, last, members, means, scales, quaternions, opacities, sh, wet_sh, wetness, rain, opacity, change, selected,
     as_points, antialiased, object_to_camera, eye, intrinsics, shapes, colors,
 ):  # fmt: skip
-    """Fill shapes and colors of some Gaussians of one part; depth 0 marks those not to be drawn."""
-    basis, shape, color = np.empty(16, np.float32), np.empty(8, np.float32), np.empty(3, np.float32)
-    for n in range(first, last):
-        i = members[n]
-        is_rain = len(rain) > 0 and rain[i]
-        # Numbers and arrays that stay the same: to count the references of a row costs as much as to project it.
-        mean = means[i, 0], means[i, 1], means[i, 2]
-        scale = scales[i, 0], scales[i, 1], scales[i, 2]
-        quaternion = quaternions[i, 0], quaternions[i, 1], quaternions[i, 2], quaternions[i, 3]
-        depth = _shape(
-            mean, scale, quaternion, opacity * opacities[i], is_rain, as_points, antialiased, object_to_camera,
-            intrinsics, shape,
-        )  # fmt: skip
-        if not (depth > 0 and color_of(mean, sh, wet_sh, i, wetness, eye, change, basis, color)):
-            shape[:] = 0
-            color[:] = 0
-            depth = 0.0
-        elif len(selected) > 0 and has_bit(selected, i):
+    """Fill shapes and colors of some Gaussians of one part; depth 0 marks those not to be drawn.
+
+    Block by block, in lines of numbers, so that LLVM vectorizes all but logarithms and colors.
+    """
+    source, results = stack_lines(12, _BLOCK, shapes.dtype), stack_lines(9, _BLOCK, shapes.dtype)
+    places = stack_lines(8, _BLOCK, object_to_camera.dtype)
+    directions = np.zeros((_BLOCK, 3), np.float32)
+    for start in range(first, last, _BLOCK):
+        count = min(_BLOCK, last - start)
+        for j in range(count):
+            i = members[start + j]
             for k in range(3):
-                color[k] += np.float32(TINT_SHARE) * (np.float32(TINT[k]) - color[k])
-        for k in range(8):
-            shapes[n, k] = shape[k]
-        for k in range(3):
-            colors[n, k] = color[k]
-        colors[n, 3] = depth
+                source[k * _BLOCK + j], source[(3 + k) * _BLOCK + j] = means[i, k], scales[i, k]
+            for k in range(4):
+                source[(6 + k) * _BLOCK + j] = quaternions[i, k]
+            source[10 * _BLOCK + j] = opacity * opacities[i]
+            source[11 * _BLOCK + j] = 1 if len(rain) > 0 and rain[i] else 0
+        _place(source, count, as_points, antialiased, object_to_camera, intrinsics, places)
+        for j in range(count):
+            places[7 * _BLOCK + j] = np.log(places[7 * _BLOCK + j])
+        _finish(source, places, count, intrinsics, results)
+        for j in range(count):
+            for k in range(8):
+                shapes[start + j, k] = results[k * _BLOCK + j]
+            for k in range(3):
+                colors[start + j, k] = 0
+            colors[start + j, 3] = results[8 * _BLOCK + j]
+        if sh.shape[1] > 1:
+            for j in range(count):
+                mean = source[j], source[_BLOCK + j], source[2 * _BLOCK + j]
+                directions[j, 0], directions[j, 1], directions[j, 2] = direction_to(mean, eye)
+        write_colors(start, start + count, members, directions, sh, wet_sh, wetness, change, selected, shapes, colors)
 
 
 @numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
-def _shape(mean, scale, q, opacity, is_rain, as_point, antialiased, m, intrinsics, shape):
-    """Write one splat's shape; return its depth in meters, or 0 if it is not to be drawn.
+def _place(source, count, as_points, antialiased, m, intrinsics, places):
+    """Centers, covariances, depths and alphas of splats; the depth is 0 out of reach.
 
     Scalars are float64: 1e12 m squared still fits.
     """
-    fx, fy, cx, cy, width, height = intrinsics
-    px, py, pz = in_camera(m, mean)
-    if not (NEAR_M < pz < 3e38):  # also rejects NaN
-        return 0.0
-    near = 1 / pz
-    row_u, row_v, _, _, _, _ = jacobian(px, py, pz, m, intrinsics)
-    first, second, third = rotation_columns(np.float64(q[0]), np.float64(q[1]), np.float64(q[2]), np.float64(q[3]))
-    a, b, c = np.float64(scale[0]), np.float64(scale[1]), np.float64(scale[2])
-    u0, v0 = a * dot(row_u, first), a * dot(row_v, first)
-    u1, v1 = b * dot(row_u, second), b * dot(row_v, second)
-    u2, v2 = c * dot(row_u, third), c * dot(row_v, third)
-    xx, xy, yy = u0 * u0 + u1 * u1 + u2 * u2, u0 * v0 + u1 * v1 + u2 * v2, v0 * v0 + v1 * v1 + v2 * v2
-    u, v = fx * px * near + cx, fy * py * near + cy
-    is_drawn = write_shape(u, v, xx, xy, yy, opacity, is_rain, as_point, antialiased, width, height, shape)
-    return pz if is_drawn else 0.0
+    fx, fy, cx, cy, _, _ = intrinsics
+    for j in range(count):
+        px, py, pz = in_camera(m, (source[j], source[_BLOCK + j], source[2 * _BLOCK + j]))
+        near = 1 / pz
+        row_u, row_v, _, _, _, _ = jacobian(px, py, pz, m, intrinsics)
+        w, x = np.float64(source[6 * _BLOCK + j]), np.float64(source[7 * _BLOCK + j])
+        y, z = np.float64(source[8 * _BLOCK + j]), np.float64(source[9 * _BLOCK + j])
+        first, second, third = rotation_columns(w, x, y, z)
+        a, b = np.float64(source[3 * _BLOCK + j]), np.float64(source[4 * _BLOCK + j])
+        c = np.float64(source[5 * _BLOCK + j])
+        u0, v0 = a * dot(row_u, first), a * dot(row_v, first)
+        u1, v1 = b * dot(row_u, second), b * dot(row_v, second)
+        u2, v2 = c * dot(row_u, third), c * dot(row_v, third)
+        xx, xy, yy = u0 * u0 + u1 * u1 + u2 * u2, u0 * v0 + u1 * v1 + u2 * v2, v0 * v0 + v1 * v1 + v2 * v2
+        is_rain = source[11 * _BLOCK + j] > 0
+        xx, xy, yy, determinant, alpha = with_footprint(
+            xx, xy, yy, source[10 * _BLOCK + j], is_rain, as_points, antialiased
+        )
+        places[j], places[_BLOCK + j] = fx * px * near + cx, fy * py * near + cy
+        places[2 * _BLOCK + j], places[3 * _BLOCK + j], places[4 * _BLOCK + j] = xx, xy, yy
+        places[5 * _BLOCK + j] = determinant
+        places[6 * _BLOCK + j] = pz if (pz > NEAR_M) & (pz < 3e38) else 0.0  # also rejects NaN
+        places[7 * _BLOCK + j] = alpha
+
+
+@numba.njit(forceinline=True, error_model="numpy")
+@no_type_check
+def _finish(source, places, count, intrinsics, results):
+    """Shapes of splats whose alphas became logarithms, and depths, which are 0 for those not to be drawn."""
+    width, height = intrinsics[4], intrinsics[5]
+    for j in range(count):
+        u, v, depth = places[j], places[_BLOCK + j], places[6 * _BLOCK + j]
+        xx, xy, yy = places[2 * _BLOCK + j], places[3 * _BLOCK + j], places[4 * _BLOCK + j]
+        determinant, log_alpha = places[5 * _BLOCK + j], places[7 * _BLOCK + j]
+        is_rain = source[11 * _BLOCK + j] > 0
+        is_drawn, shape = shape_of(u, v, xx, xy, yy, determinant, log_alpha, is_rain, width, height)
+        is_drawn &= depth > 0
+        for k in range(8):
+            results[k * _BLOCK + j] = shape[k] if is_drawn else 0.0
+        results[8 * _BLOCK + j] = depth if is_drawn else 0.0
 
 
 @numba.njit(forceinline=True, error_model="numpy")

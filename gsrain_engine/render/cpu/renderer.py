@@ -32,7 +32,9 @@ from ..renderer import (
 from .backdrop import Backdrop, composite_over, draw_backdrop
 from .block_cache import BlockCaches
 from .compositing import (
+    NO_SKY,
     Film,
+    SkyLayer,
     add_light,
     composite,
     composite_in_rain,
@@ -98,7 +100,7 @@ class CpuRenderer:
             tiles = bin_into_tiles(splats.shapes, order, camera.width, camera.height)
         self.checkpoint()
         with timed(stages, "draw"):
-            sky = sky_layer(medium, camera) if medium is not None else None
+            sky = sky_layer(medium, camera) if medium is not None else NO_SKY
             film = None if mirror is None else Film.on(film_of_splats(splats, parts), tiles)
             if rain is not None and lit is not None:
                 self._frame = _draw_lit(splats, tiles, camera, rain, lit, sky, film, with_depth=with_depth)
@@ -112,9 +114,9 @@ class CpuRenderer:
                     self._frame = _draw_mode(look, splats, tiles, film, with_depth=with_depth)
                 else:
                     self._frame = _draw_behind_veil(splats, order, tiles, rain, film, with_depth=with_depth)
-                if sky is not None:
+                if medium is not None:
                     rgba = self._frame.rgba
-                    rgba += (1 - rgba[..., 3:]) * sky
+                    rgba += (1 - rgba[..., 3:]) * sky.rgba
             if mirror is not None and film is not None:
                 add_light(self._frame.rgba, mirror.reflected(film.visible))
             if camera.lens is not None:
@@ -208,17 +210,17 @@ def _draw_lit(
     camera: Camera,
     rain: RainFrame,
     lit: LampLight,
-    sky: Float32[np.ndarray, "r c 4"] | None,
+    sky: SkyLayer,
     film: Film | None,
     *,
     with_depth: bool,
 ) -> Frame:
-    """Draw scene and rain with the light of lamps; `sky` is the layer of the medium, None without one."""
+    """Draw scene and rain with the light of lamps; `sky` is the layer of the medium."""
     light = np.zeros((tiles.height, tiles.width, 3), np.float32)
     channels = splats.colors.copy()
     channels[:, 3] = share_of_depth(channels[:, 3])
     rgba, shares, weight = composite_in_rain(splats.shapes, channels, rain.light_linear, tiles, sky, light, film)
-    if sky is not None:
+    if len(sky.shares) > 0:
         light += light_in_picture(lit, shares, weight, None if camera.lens is None else camera.rays)
     add_light(rgba, light)
     if not with_depth:

@@ -11,7 +11,7 @@ from ...kernels import NOGIL
 from ...scene.camera import Camera
 from ...scene.flags import BitMask
 from ...scene.scene import DrawItem
-from .fast_math import sh_basis
+from .fast_math import sh_basis, stack_lines
 
 NEAR_M = 0.2  # Gaussians with nearer centers are skipped, as in the reference rasterizer
 DILATION_PX2 = 0.3  # added to the 2D covariance: the pixel's own footprint (3DGS, Kerbl et al. 2023)
@@ -170,66 +170,95 @@ def rotation_columns(w, x, y, z):
 @no_type_check
 def write_shape(u, v, xx, xy, yy, opacity, is_rain, as_point, antialiased, width, height, shape):
     """Write the shape of a splat by its center and covariance in pixels; return whether it is drawn."""
-    before = max(xx * yy - xy * xy, 0.0)
-    footprint = ANTIALIASED_PX2 if antialiased else DILATION_PX2
-    xx += footprint
-    yy += footprint
-    if as_point:
-        xx, xy, yy, opacity = 1.0, 0.0, 1.0, np.float32(1)
-    determinant = xx * yy - xy * xy
-    if not (0 < determinant < np.inf):
-        return False
-    alpha = min(np.float64(opacity), 1.0)
-    log_cut = LOG_SCENE_CUT
-    if is_rain or (antialiased and not as_point):
-        alpha *= np.sqrt(before / determinant)
-    if is_rain:
-        log_cut = LOG_RAIN_CUT
-    log_alpha = np.log(alpha)
-    if not (log_alpha > log_cut):
-        return False
-    extent = np.sqrt(2 * (log_alpha - log_cut))  # exact: alpha is the cut at the edge
-    reach_x, reach_y = extent * np.sqrt(xx), extent * np.sqrt(yy)
-    if not (u + reach_x > 0 and u - reach_x < width and v + reach_y > 0 and v - reach_y < height):
-        return False
-    by_xx = 1 / xx
-    shape[0], shape[1] = u, v
-    shape[2] = xy * by_xx
-    shape[3] = -0.5 * by_xx
-    shape[4] = -0.5 * xx / determinant
-    shape[5], shape[6] = log_alpha, log_cut
-    shape[7] = reach_x
-    return True
+    xx, xy, yy, determinant, alpha = with_footprint(xx, xy, yy, opacity, is_rain, as_point, antialiased)
+    is_drawn, numbers = shape_of(u, v, xx, xy, yy, determinant, np.log(alpha), is_rain, width, height)
+    if is_drawn:
+        for k in range(8):
+            shape[k] = numbers[k]
+    return is_drawn
 
 
 @numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
-def color_of(mean, sh, wet_sh, i, wetness, eye, change, basis, color):
-    """Write the display color, max(0, change of (sum of harmonics + 0.5)); return whether it is finite.
+def with_footprint(xx, xy, yy, opacity, is_rain, as_point, antialiased):
+    """Covariance of a splat with the pixel's own, its determinant, and alpha in the center.
 
-    Harmonics are those of row i. If there are wet ones, they are blended in before the change.
+    Without branches, as `shape_of`: LLVM vectorizes loops over both, which the logarithm between them would prevent.
     """
+    before = max(xx * yy - xy * xy, 0.0)
+    footprint = ANTIALIASED_PX2 if antialiased else DILATION_PX2
+    xx, xy, yy = (1.0, 0.0, 1.0) if as_point else (xx + footprint, xy, yy + footprint)
+    determinant = xx * yy - xy * xy
+    alpha = min(np.float64(np.float32(1) if as_point else opacity), 1.0)
+    loses = is_rain | (antialiased & (not as_point))
+    return xx, xy, yy, determinant, alpha * (np.sqrt(before / determinant) if loses else 1.0)
+
+
+@numba.njit(forceinline=True, error_model="numpy")
+@no_type_check
+def shape_of(u, v, xx, xy, yy, determinant, log_alpha, is_rain, width, height):
+    """Return whether a splat is drawn, and its shape, from what `with_footprint` returns."""
+    log_cut = LOG_RAIN_CUT if is_rain else LOG_SCENE_CUT
+    extent = np.sqrt(2 * (log_alpha - log_cut))  # exact: alpha is the cut at the edge
+    reach_x, reach_y = extent * np.sqrt(xx), extent * np.sqrt(yy)
+    is_near_x = (u + reach_x > 0) & (u - reach_x < width)
+    is_near_y = (v + reach_y > 0) & (v - reach_y < height)
+    is_drawn = (determinant > 0) & (determinant < np.inf) & (log_alpha > log_cut) & is_near_x & is_near_y
+    by_xx = 1 / xx
+    return is_drawn, (u, v, xy * by_xx, -0.5 * by_xx, -0.5 * xx / determinant, log_alpha, log_cut, reach_x)
+
+
+@numba.njit(error_model="numpy")
+@no_type_check
+def write_colors(first, last, members, directions, sh, wet_sh, wetness, change, selected, shapes, colors):
+    """Write the display colors, max(0, change of (sum of harmonics + 0.5)), of splats with a depth.
+
+    Splats whose color is not finite are removed. `directions` has those from the eye to the splats from `first` on. If
+    there are wet harmonics, they are blended in before the change. A loop of its own: to pass these arrays for each
+    splat, whose references are counted, would cost as much as to project it.
+    """
+    basis = stack_lines(1, 16, shapes.dtype)
+    coefficients = sh.shape[1]
+    for n in range(first, last):
+        if not colors[n, 3] > 0:
+            continue
+        i, j = members[n], n - first
+        sh_basis(directions[j, 0], directions[j, 1], directions[j, 2], coefficients, basis)
+        red = green = blue = np.float32(0.5)
+        for k in range(coefficients):
+            red += basis[k] * sh[i, k, 0]
+            green += basis[k] * sh[i, k, 1]
+            blue += basis[k] * sh[i, k, 2]
+        if len(wet_sh) > 0:
+            r = g = b = np.float32(0.5)
+            for k in range(coefficients):
+                r += basis[k] * wet_sh[i, k, 0]
+                g += basis[k] * wet_sh[i, k, 1]
+                b += basis[k] * wet_sh[i, k, 2]
+            dry = np.float32(1) - wetness
+            red, green, blue = dry * red + wetness * r, dry * green + wetness * g, dry * blue + wetness * b
+        if len(change) > 0:
+            r, g, b = red, green, blue
+            red = change[0, 0] * r + change[0, 1] * g + change[0, 2] * b + change[0, 3]
+            green = change[1, 0] * r + change[1, 1] * g + change[1, 2] * b + change[1, 3]
+            blue = change[2, 0] * r + change[2, 1] * g + change[2, 2] * b + change[2, 3]
+        if not (np.isfinite(red) and np.isfinite(green) and np.isfinite(blue)):
+            shapes[n, :] = 0
+            colors[n, :] = 0
+            continue
+        red, green, blue = max(red, np.float32(0)), max(green, np.float32(0)), max(blue, np.float32(0))
+        if len(selected) > 0 and has_bit(selected, i):
+            share = np.float32(TINT_SHARE)
+            red += share * (np.float32(TINT[0]) - red)
+            green += share * (np.float32(TINT[1]) - green)
+            blue += share * (np.float32(TINT[2]) - blue)
+        colors[n, 0], colors[n, 1], colors[n, 2] = red, green, blue
+
+
+@numba.njit(forceinline=True, error_model="numpy")
+@no_type_check
+def direction_to(mean, eye):
+    """Unit vector from the eye to a mean; float32."""
     x, y, z = mean[0] - eye[0], mean[1] - eye[1], mean[2] - eye[2]
     by_length = 1 / np.sqrt(x * x + y * y + z * z)
-    coefficients = sh.shape[1]
-    sh_basis(np.float32(x * by_length), np.float32(y * by_length), np.float32(z * by_length), coefficients, basis)
-    red = green = blue = np.float32(0.5)
-    for k in range(coefficients):
-        red += basis[k] * sh[i, k, 0]
-        green += basis[k] * sh[i, k, 1]
-        blue += basis[k] * sh[i, k, 2]
-    if len(wet_sh) > 0:
-        r = g = b = np.float32(0.5)
-        for k in range(coefficients):
-            r += basis[k] * wet_sh[i, k, 0]
-            g += basis[k] * wet_sh[i, k, 1]
-            b += basis[k] * wet_sh[i, k, 2]
-        dry = np.float32(1) - wetness
-        red, green, blue = dry * red + wetness * r, dry * green + wetness * g, dry * blue + wetness * b
-    if len(change) > 0:
-        r, g, b = red, green, blue
-        red = change[0, 0] * r + change[0, 1] * g + change[0, 2] * b + change[0, 3]
-        green = change[1, 0] * r + change[1, 1] * g + change[1, 2] * b + change[1, 3]
-        blue = change[2, 0] * r + change[2, 1] * g + change[2, 2] * b + change[2, 3]
-    color[0], color[1], color[2] = max(red, np.float32(0)), max(green, np.float32(0)), max(blue, np.float32(0))
-    return np.isfinite(red) and np.isfinite(green) and np.isfinite(blue)
+    return np.float32(x * by_length), np.float32(y * by_length), np.float32(z * by_length)
