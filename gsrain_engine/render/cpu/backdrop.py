@@ -20,6 +20,7 @@ from ...scene.scene import DrawItem
 from .block_cache import BlockCaches
 from .compositing import (
     FILM,
+    NO_ALPHA,
     NO_SKY,
     OPEN,
     RAIN_LINES,
@@ -94,8 +95,8 @@ def composite_over(
     """
     height, width = tiles.height, tiles.width
     rgba, visible = np.empty((height, width, 4), np.float32), np.empty((height, width, 2), np.float32)
-    fourth, alpha = (np.empty((height, width), np.float32) for _ in range(2))
-    images = rgba, fourth, visible, alpha, light_linear, *backdrop.sky
+    fourth = np.empty((height, width), np.float32)
+    images = rgba, fourth, visible, NO_ALPHA, light_linear, *backdrop.sky
     _composite_over(tiles, splats.shapes, splats.colors, (*images, backdrop.rgba, backdrop.depth, backdrop.film))
     return rgba, visible
 

@@ -80,6 +80,7 @@ class SkyLayer(NamedTuple):
         return self.shares[..., None] * self.color
 
 
+NO_ALPHA = np.empty((0, 0), np.float32)
 NO_SKY = SkyLayer(np.zeros((0, 0), np.float32), np.zeros(4, np.float32))
 
 
@@ -100,7 +101,7 @@ def composite_wet(
     """Blend as `composite` does, and the film as two more channels. Rain must not be among the splats."""
     rgba = np.empty((tiles.height, tiles.width, 4), np.float32)
     fourth = np.empty((tiles.height, tiles.width), np.float32)
-    _composite_wet(tiles, shapes, np.hstack([channels, film.of_splats]), (rgba, fourth, film.visible))
+    _composite_wet(tiles, shapes, _with_film(channels, film), (rgba, fourth, film.visible))
     return rgba, fourth
 
 
@@ -112,24 +113,43 @@ def composite_in_rain(
     sky: SkyLayer = NO_SKY,
     lamp_light: Float32[np.ndarray, "h w 3"] | None = None,
     film: Film | None = None,
+    *,
+    with_alpha: bool = True,
 ) -> tuple[Float32[np.ndarray, "h w 4"], Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
     """Blend the scene's splats as `composite` does, with rain of one color in front of and among them.
 
     With T_i the product of 1 - alpha_j over all nearer splats, of scene and rain alike, the shares of the scene and of
     the rain are the sums of alpha_i T_i over their own splats. Rain behind opaque surfaces is hidden. `add_rain_light`
-    combines the shares into the image. Returns it, and the fourth channel and alpha of the scene alone. If `lamp_light`
-    is there, the channels of rain are its light of lamps in linear light, and what is visible of that is written there.
-    The `film` is blended without the rain in front of it.
+    combines the shares into the image. Returns it, and the fourth channel and, `with_alpha`, alpha of the scene alone.
+    If `lamp_light` is there, the channels of rain are its light of lamps in linear light, and what is visible of that
+    is written there. The `film` is blended without the rain in front of it.
     """
     rgba = np.empty((tiles.height, tiles.width, 4), np.float32)
-    fourth, alpha = (np.empty((tiles.height, tiles.width), np.float32) for _ in range(2))
+    fourth = np.empty((tiles.height, tiles.width), np.float32)
+    alpha = np.empty_like(fourth) if with_alpha else NO_ALPHA
     visible = np.empty((0, 0, 2), np.float32) if film is None else film.visible
-    channels = channels if film is None else np.hstack([channels, film.of_splats])
+    channels = channels if film is None else _with_film(channels, film)
     if lamp_light is None:
         _composite_rain(tiles, shapes, channels, (rgba, fourth, visible, alpha, light_linear, *sky))
     else:
         _composite_lit_rain(tiles, shapes, channels, (rgba, fourth, visible, alpha, light_linear, *sky, lamp_light))
     return rgba, fourth, alpha
+
+
+def _with_film(channels: Float32[np.ndarray, "m 4"], film: Film) -> Float32[np.ndarray, "m 6"]:
+    """Four channels and two of the film next to each other, for one read of memory a splat."""
+    joined = np.empty((len(channels), 6), np.float32)
+    _join(channels, film.of_splats, joined)
+    return joined
+
+
+@numba.njit(parallel=True, cache=True, nogil=NOGIL)
+@no_type_check
+def _join(channels, film, joined):
+    for i in numba.prange(len(joined)):
+        for c in range(4):
+            joined[i, c] = channels[i, c]
+        joined[i, 4], joined[i, 5] = film[i, 0], film[i, 1]
 
 
 # Lines of a tile's column, TILE numbers each: transmittance, four channels, alpha; then two of the film; with rain the
@@ -309,8 +329,8 @@ def _store_wet(state, x0, y0, images):
 @no_type_check
 def store_rain(state, x0, y0, images):
     clear_alpha, light_linear, shares, color = images[3], images[4], images[5], images[6]
-    height, width = clear_alpha.shape
-    for v in range(min(TILE, height - y0)):
+    height, width = images[1].shape
+    for v in range(min(TILE, height - y0) if len(clear_alpha) > 0 else 0):
         for u in range(min(TILE, width - x0)):
             clear_alpha[y0 + v, x0 + u] = state[u, 5 * TILE + v]
     if len(shares) > 0:

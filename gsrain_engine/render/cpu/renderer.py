@@ -106,7 +106,7 @@ class CpuRenderer:
                 self._frame = _draw_lit(splats, tiles, camera, rain, lit, sky, film, with_depth=with_depth)
             elif rain is not None and falling and rain.is_linear:
                 rgba, weighted, weight = composite_in_rain(
-                    splats.shapes, splats.colors, rain.light_linear, tiles, sky, film=film
+                    splats.shapes, splats.colors, rain.light_linear, tiles, sky, film=film, with_alpha=with_depth
                 )
                 self._frame = Frame(rgba, expected(weighted, weight, MIN_WEIGHT) if with_depth else None)
             else:
