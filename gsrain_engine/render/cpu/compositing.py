@@ -115,7 +115,7 @@ def composite_in_rain(
     film: Film | None = None,
     *,
     with_alpha: bool = True,
-) -> tuple[Float32[np.ndarray, "h w 4"], Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
+) -> tuple[Float32[np.ndarray, "h w 4"], Float32[np.ndarray, "h w"], Float32[np.ndarray, "_ _"]]:
     """Blend the scene's splats as `composite` does, with rain of one color in front of and among them.
 
     With T_i the product of 1 - alpha_j over all nearer splats, of scene and rain alike, the shares of the scene and of
