@@ -1,11 +1,12 @@
 """A scene that is closed is held by nobody: its memory is free for the next one."""
 
 import gc
+import threading
 import weakref
 
 import pytest
 
-from gsrain_engine.editor.drawing import live_view
+from gsrain_engine.editor.drawing import live_view, textures
 from gsrain_engine.editor.drawing.live_view import LiveView
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.rain.settings import load_preset
@@ -37,6 +38,7 @@ def test_a_closed_scene_is_free(context, backend):
 
 def test_an_empty_scene_waits_for_no_kernels(context, monkeypatch):
     monkeypatch.setattr(live_view, "has_kernels", lambda: False)
+    monkeypatch.setattr(textures, "_are_loaded", threading.Event())
     editor = Editor(Scene("no scene"))
     view = LiveView(context, "cpu")
     assert not view.is_settled
