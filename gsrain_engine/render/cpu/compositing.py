@@ -80,7 +80,7 @@ class SkyLayer(NamedTuple):
         return self.shares[..., None] * self.color
 
 
-NO_ALPHA = np.empty((0, 0), np.float32)
+NO_ALPHA = np.empty((0, 0), np.float32)  # in place of an image that nobody asks for
 NO_SKY = SkyLayer(np.zeros((0, 0), np.float32), np.zeros(4, np.float32))
 
 
