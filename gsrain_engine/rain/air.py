@@ -41,7 +41,8 @@ _TRANSITION_S = 1.0  # time in which offsets follow changed settings
 _MIN_FALL_M_S = 0.05
 
 
-class AirScales(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class AirScales:
     """Factors of the drops' offsets."""
 
     wind_m_s: Float64[np.ndarray, "2"]
@@ -60,6 +61,13 @@ class AirScales(NamedTuple):
             self.turbulence_m_s + share * (other.turbulence_m_s - self.turbulence_m_s),
             self.slowness_s_m + share * (other.slowness_s_m - self.slowness_s_m),
         )
+
+    @cached_property
+    def by_class(self) -> Float32[np.ndarray, "classes 3"]:
+        """Factors of each class; see `DropAir`."""
+        slow = self.slowness_s_m
+        own = -slow * (self.turbulence_m_s / OWN_STEPS) * follows(1 / slow)
+        return np.stack([slow, slow / (1 + GUST_SPEED_M_S * slow), own], axis=1).astype(np.float32)
 
 
 class DropAir(NamedTuple):
@@ -151,14 +159,9 @@ class Wind:
         rows[3], rows[4] = np.sum(reach * np.cos(angle[1]), axis=0), np.sum(reach * np.sin(angle[1]), axis=0)
         rows[7] = np.sum(peak * np.cos(angle[0]), axis=0)
         rows[8], rows[9] = np.sum(peak * np.cos(angle[1]), axis=0), -np.sum(peak * np.sin(angle[1]), axis=0)
-        slow = scales.slowness_s_m
-        by_class = np.empty((len(slow), 3), np.float32)
-        by_class[:, 0] = slow
-        by_class[:, 1] = slow / (1 + GUST_SPEED_M_S * slow)
-        by_class[:, 2] = -slow * (scales.turbulence_m_s / OWN_STEPS) * follows(1 / slow)
         reach_of = np.abs(rows[[0, 2]]).max(axis=1)
         numbers = np.array([low, tall, along_x, x, 1 / x, self.drift_m_s[0], *reach_of], np.float32)
-        return DropAir(rows.astype(np.float32), by_class, numbers)
+        return DropAir(rows.astype(np.float32), scales.by_class, numbers)
 
     def modes(
         self, time_s: float, height_m: float, x_m: float, along_x: float

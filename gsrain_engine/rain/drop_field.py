@@ -8,17 +8,16 @@ without any function but sums and products, so that all implementations agree in
 is redrawn on the axes that come later in the order z, x, y; it therefore jumps only at a face of the cell.
 """
 
-from collections.abc import Callable
 from typing import NamedTuple, no_type_check
 
 import numba
 import numpy as np
-from jaxtyping import Float32, Float64, Int32, Int64, UInt32
+from jaxtyping import Float64, Int32, Int64, UInt32
 
 from ..kernels import NOGIL
 from .air import CALM, DropAir
 from .drop_motion import DropMotion
-from .pcg_hash import pcg4d, pcg4d_scalar
+from .pcg_hash import pcg4d_scalar
 from .properties import CLASSES
 
 CLASS_STRIDE = 10125
@@ -47,8 +46,8 @@ class Drops(NamedTuple):
     class_index: Int64[np.ndarray, " m"]
     fractions: UInt32[np.ndarray, "m 3"]
     """Position in the cell: 0 is the lower face, 2^32 the upper one."""
-    own_steps: Int32[np.ndarray, "m 2"]
-    """Velocity of its own along x and y, in `OWN_STEPS` to a standard deviation."""
+    air_velocity_m_s: Float64[np.ndarray, "m 2"]
+    """Velocity along x and y: mean wind, gusts and the drop's own; the derivative of its position."""
 
     def positions(self, period_m: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "m 3"]:
         """In meters from the center of the cell."""
@@ -114,7 +113,10 @@ _ONE = np.float32(1)
 @numba.njit(inline="always")
 @no_type_check
 def own_steps(drawn):
-    """Velocity of its own that a drop draws; readable form: `_own_steps_of`."""
+    """Velocity of its own that a drop draws, in `OWN_STEPS` to a standard deviation.
+
+    It is the sum of the four bytes less its mean: nearly a normal distribution.
+    """
     pairs = (drawn & np.uint32(0x00FF00FF)) + ((drawn >> np.uint32(8)) & np.uint32(0x00FF00FF))
     return np.int32((pairs & np.uint32(0xFFFF)) + (pairs >> np.uint32(16))) - np.int32(510)
 
@@ -127,43 +129,122 @@ def _between(rows, row, node, share):
 
 @numba.njit(inline="always")
 @no_type_check
-def offset_x(rows, numbers, slow, gust, own, node, share, height, steps):
-    """Offset along x in periods; readable form: `offsets_x`."""
-    x = _between(rows, 0, node, share) * slow + _between(rows, 2, node, share) * gust
-    return (x + np.float32(steps) * own * height) * numbers[4]
+def _at_height(fraction_z, numbers):
+    """Node below a height in the cell, share of the way to the next one, and the height above the ground in m."""
+    share = np.float32(fraction_z & np.uint32(0xFFFFFF)) * _FRACTION
+    height = numbers[0] + np.float32(fraction_z >> np.uint32(8)) * _FRACTION * numbers[1]
+    return np.uint32(fraction_z >> np.uint32(24)), share, height
 
 
 @numba.njit(inline="always")
 @no_type_check
-def offset_y(rows, numbers, slow, gust, own, node, share, height, steps, fraction_x):
-    """Offset along y in periods; readable form: `offsets_y`."""
+def _sine_and_cosine(fraction_x, numbers):
+    """Of the gusts' wavenumber times x from the middle of the cell, to 6e-5 for angles up to 1.4."""
     turn = (np.float32(fraction_x >> np.uint32(8)) * _FRACTION - _HALF_PERIOD) * numbers[3] * numbers[2]
     square = turn * turn
     sine = turn * (_ONE + square * (_SINE[0] + square * (_SINE[1] + square * _SINE[2])))
     cosine = _ONE + square * (_COSINE[0] + square * (_COSINE[1] + square * (_COSINE[2] + square * _COSINE[3])))
-    y = _between(rows, 1, node, share) * slow
-    y = y + (_between(rows, 3, node, share) * sine + _between(rows, 4, node, share) * cosine) * gust
-    return (y + np.float32(steps) * own * height) * numbers[4]
+    return sine, cosine
+
+
+@numba.njit(inline="always")
+@no_type_check
+def _split_offset(periods):
+    """Whole periods of an offset, and the rest in 2^-32 of a period."""
+    whole = np.floor(periods)
+    return whole, np.uint32(np.int32(min(periods - whole, _BELOW_ONE) * _STEPS_OF_FRACTION)) << np.uint32(8)
+
+
+@numba.njit(inline="always")
+@no_type_check
+def _place_x(rows, numbers, air, fraction_z, start_x, drawn_x, moved_x, wraps_x):
+    """Place along x of a drop at a height, and how often it has wrapped there; `air` is its class's."""
+    node, share, height = _at_height(fraction_z, numbers)
+    x = _between(rows, 0, node, share) * air[0] + _between(rows, 2, node, share) * air[1]
+    whole, part = _split_offset((x + np.float32(own_steps(drawn_x)) * air[2] * height) * numbers[4])
+    lattice_x = np.uint32(start_x + moved_x)
+    fraction_x = np.uint32(lattice_x + part)
+    wrap_x = np.uint32(wraps_x + np.uint32(lattice_x < start_x) + np.uint32(fraction_x < part))
+    return fraction_x, np.uint32(wrap_x + np.uint32(np.int32(whole)))
+
+
+@numba.njit(inline="always")
+@no_type_check
+def _place_y(rows, numbers, air, i, seed, fraction_z, wrap_z, fraction_x, wrap_x, drawn_y, moved_y):
+    """Place along y of a drop."""
+    node, share, height = _at_height(fraction_z, numbers)
+    sine, cosine = _sine_and_cosine(fraction_x, numbers)
+    y = _between(rows, 1, node, share) * air[0]
+    y = y + (_between(rows, 3, node, share) * sine + _between(rows, 4, node, share) * cosine) * air[1]
+    _, part = _split_offset((y + np.float32(own_steps(drawn_y)) * air[2] * height) * numbers[4])
+    two = np.uint32(2)
+    _, start_y, _, _ = pcg4d_scalar(i, wrap_z, np.uint32(wrap_x * two + two), seed)
+    return np.uint32(start_y + moved_y + part)
+
+
+@numba.njit(inline="always")
+@no_type_check
+def _air_velocity(rows, numbers, air, fraction_z, fraction_x, steps_x, steps_y):
+    """Velocity of a drop along x and y in m/s."""
+    slow, gust, own = air
+    node, share, _ = _at_height(fraction_z, numbers)
+    sine, cosine = _sine_and_cosine(fraction_x, numbers)
+    across = -own / slow if slow > 0 else own  # velocity for each step; all are 0 in still air
+    along_x = _between(rows, 5, node, share) + _between(rows, 7, node, share) + across * np.float64(steps_x)
+    bend = _between(rows, 3, node, share) * cosine - _between(rows, 4, node, share) * sine
+    carried = (along_x - numbers[5]) * numbers[2] * gust * bend
+    along_y = _between(rows, 6, node, share) + _between(rows, 8, node, share) * cosine
+    along_y = along_y + _between(rows, 9, node, share) * sine
+    return along_x, along_y + carried + across * np.float64(steps_y)
+
+
+def search_drops(
+    count: int,
+    seed: int,
+    where: DropPhases,
+    culling: DropCulling,
+    period_m: Float64[np.ndarray, "3"],
+    *,
+    everywhere: bool = False,
+    smallest_class: int = 0,
+) -> Int64[np.ndarray, " m"]:
+    """Find the drops with numbers below `count` that may be visible to the camera; with `everywhere` in all the region.
+
+    Returns their numbers, rising.
+    """
+    turns = -(-count // (CLASSES * LANES)) * LANES  # whole SIMD vectors: a remainder would run one by one
+    chunks = CLASSES // _CLASSES_BY_CHUNK
+    numbers, counts = np.empty((chunks, _CLASSES_BY_CHUNK * turns), np.int64), np.empty(chunks, np.int64)
+    geometry = np.concatenate([np.ravel(each) for each in (period_m, *culling[:5])])
+    _search_drops(
+        np.uint32(seed), np.uint32(count), smallest_class, where.wraps, where.fractions, geometry,
+        culling.class_margin_m, culling.class_far_m, everywhere, numbers, counts, *where.air,
+    )  # fmt: skip
+    return np.sort(np.concatenate([row[:n] for row, n in zip(numbers, counts, strict=True)]))
 
 
 @numba.njit(parallel=True, cache=True, nogil=NOGIL)
 @no_type_check
-def mark_drops(
-    seed, count, wraps, fractions, geometry, margins, far, everywhere, found, air_rows, air_classes, air_numbers
-):
-    """Mark the drops with numbers below `count` that may be visible to the camera, by class and turn.
-
-    `geometry` is the cell's period and the first five fields of `DropCulling`. Where `everywhere` is true all drops in
-    the streak region are marked.
-    """
+def _search_drops(
+    seed, count, first_class, wraps, fractions, geometry, margins, far, everywhere, numbers, counts, air_rows,
+    air_classes, air_numbers,
+):  # fmt: skip
+    """Write the numbers that `search_drops` finds, for each chunk of classes, and how many they are to `counts`."""
+    turns = numbers.shape[1] // _CLASSES_BY_CHUNK
     for chunk in numba.prange(CLASSES // _CLASSES_BY_CHUNK):
-        drawn = np.empty((5, found.shape[1]), np.uint32)
-        for c in range(chunk * _CLASSES_BY_CHUNK, (chunk + 1) * _CLASSES_BY_CHUNK):
-            first, row = np.uint32((c * FIRST_OF_CLASS) % CLASSES), found[c]
+        drawn, found = np.empty((5, turns), np.uint32), np.empty(turns, np.bool_)
+        n = 0
+        for c in range(max(chunk * _CLASSES_BY_CHUNK, first_class), (chunk + 1) * _CLASSES_BY_CHUNK):
+            first = (c * FIRST_OF_CLASS) % CLASSES
             _mark_class(
-                first, count, seed, wraps[c], fractions[c], geometry, margins[c], far[c], everywhere, row, drawn,
-                air_rows, air_classes[c], air_numbers,
+                np.uint32(first), count, seed, wraps[c], fractions[c], geometry, margins[c], far[c], everywhere, found,
+                drawn, air_rows, air_classes[c], air_numbers,
             )  # fmt: skip
+            for k in range(turns):
+                if found[k]:
+                    numbers[chunk, n] = first + k * CLASSES
+                    n += 1
+        counts[chunk] = n
 
 
 @numba.njit
@@ -187,10 +268,11 @@ def _mark_class(
     ahead_x, ahead_y, ahead_z = geometry[19], geometry[20], geometry[21]
     left, right, top, bottom = geometry[22], geometry[23], geometry[24], geometry[25]
     half = np.float64(2.0**-32)
-    zero, one, two = np.uint32(0), np.uint32(1), np.uint32(2)
+    zero, one = np.uint32(0), np.uint32(1)
     wraps_x, wraps_z = np.uint32(wraps[0]), np.uint32(wraps[2])
     moved_x, moved_y, moved_z = fractions[0], fractions[1], fractions[2]
     slow, gust, own = air_class[0], air_class[1], air_class[2]
+    air = slow, gust, own
     low, tall = air_numbers[0], air_numbers[1]
     low_x, high_x, low_z, high_z = -period_x, period_x, -region_z, region_z
     if not everywhere:  # heights and x between which the view is
@@ -223,23 +305,14 @@ def _mark_class(
         fraction_z, wrap_z, start_x, drawn_x, drawn_y = (
             drawn[0, k], drawn[1, k], drawn[2, k], drawn[3, k], drawn[4, k],
         )  # fmt: skip
-        node, share = np.uint32(fraction_z >> np.uint32(24)), np.float32(fraction_z & np.uint32(0xFFFFFF)) * _FRACTION
-        height = low + np.float32(fraction_z >> np.uint32(8)) * _FRACTION * tall
-        offset = offset_x(air_rows, air_numbers, slow, gust, own, node, share, height, own_steps(drawn_x))
-        whole = np.floor(offset)
-        part = np.uint32(np.int32(min(offset - whole, _BELOW_ONE) * _STEPS_OF_FRACTION)) << np.uint32(8)
-        lattice_x = np.uint32(start_x + moved_x)
-        fraction_x = np.uint32(lattice_x + part)
+        fraction_x, wrap_x = _place_x(air_rows, air_numbers, air, fraction_z, start_x, drawn_x, moved_x, wraps_x)
         x = (fraction_x * half - 0.5) * period_x
         found[k] = (x >= low_x) & (x <= high_x)
         if not found[k]:
             continue
-        wrap_x = np.uint32(wraps_x + np.uint32(lattice_x < start_x) + np.uint32(fraction_x < part))
-        wrap_x = np.uint32(wrap_x + np.uint32(np.int32(whole)))
-        _, start_y, _, _ = pcg4d_scalar(i, wrap_z, np.uint32(wrap_x * two + two), seed)
-        offset = offset_y(air_rows, air_numbers, slow, gust, own, node, share, height, own_steps(drawn_y), fraction_x)
-        part = np.uint32(np.int32(min(offset - np.floor(offset), _BELOW_ONE) * _STEPS_OF_FRACTION)) << np.uint32(8)
-        fraction_y = np.uint32(start_y + moved_y + part)
+        fraction_y = _place_y(
+            air_rows, air_numbers, air, i, seed, fraction_z, wrap_z, fraction_x, wrap_x, drawn_y, moved_y
+        )
         y = (fraction_y * half - 0.5) * period_y
         z = (fraction_z * half - 0.5) * period_z
         in_region = (abs(turn_xx * x + turn_xy * y) <= region_x) & (abs(turn_yx * x + turn_yy * y) <= region_y)
@@ -268,92 +341,28 @@ def _bounds(right_, down_, ahead_, left, right, top, bottom, far, margin):
 
 
 def place_drops(numbers: Int64[np.ndarray, " m"], seed: int, where: DropPhases) -> Drops:
-    """Place drops by their numbers: readable reference of `_mark_class`."""
-    classes = (numbers * CLASS_STRIDE) % CLASSES
-    i, s = numbers.astype(np.uint32), np.full(len(numbers), seed, np.uint32)
-    zero = np.zeros_like(i)
-    moved, wraps = where.fractions[classes], where.wraps[classes].view(np.uint32)
-
-    start_z = pcg4d(i, zero, zero, s)[2]
-    z = start_z + moved[:, 2]
-    wrap_z = wraps[:, 2] + (z < start_z)
-    start_x, *drawn, _ = pcg4d(i, wrap_z, zero + 1, s)
-    steps = np.stack([_own_steps_of(each) for each in drawn], axis=1)
-    whole, part = _split_offset(offsets_x(where.air, classes, z, steps[:, 0]))
-    lattice_x = start_x + moved[:, 0]
-    x = lattice_x + part
-    wrap_x = wraps[:, 0] + (lattice_x < start_x) + (x < part) + whole
-    _, part = _split_offset(offsets_y(where.air, classes, z, steps[:, 1], x))
-    y = pcg4d(i, wrap_z, wrap_x * 2 + 2, s)[1] + moved[:, 1] + part
-    return Drops(numbers, classes, np.stack([x, y, z], axis=1), steps)
+    """Place drops by their numbers, each as `_mark_class` does."""
+    classes, placed = np.empty(len(numbers), np.int64), np.empty((len(numbers), 3), np.uint32)
+    velocities = np.empty((len(numbers), 2))
+    _place_drops(numbers, np.uint32(seed), where.wraps, where.fractions, *where.air, classes, placed, velocities)
+    return Drops(numbers, classes, placed, velocities)
 
 
-def _own_steps_of(drawn: UInt32[np.ndarray, " m"]) -> Int32[np.ndarray, " m"]:
-    """Sum of the four bytes less its mean: nearly a normal distribution with a standard deviation of `OWN_STEPS`."""
-    return np.ascontiguousarray(drawn).view(np.uint8).reshape(-1, 4).sum(axis=1, dtype=np.int32) - np.int32(510)
-
-
-def _split_offset(periods: Float32[np.ndarray, " m"]) -> tuple[UInt32[np.ndarray, " m"], UInt32[np.ndarray, " m"]]:
-    """Whole periods, and the rest in 2^-32 of a period."""
-    whole = np.floor(periods)
-    part = (np.minimum(periods - whole, _BELOW_ONE) * _STEPS_OF_FRACTION).astype(np.uint32) << np.uint32(8)
-    return whole.astype(np.int32).view(np.uint32), part
-
-
-def offsets_x(
-    air: DropAir, classes: Int64[np.ndarray, " m"], z: UInt32[np.ndarray, " m"], steps: Int32[np.ndarray, " m"]
-) -> Float32[np.ndarray, " m"]:
-    """Offset along x in periods of drops at heights z in the cell, by mean wind, gusts and their own velocity."""
-    slow, gust, own = air.by_class[classes].T
-    row, height = _air_at(air, z)
-    return (row(0) * slow + row(2) * gust + steps.astype(np.float32) * own * height) * air.numbers[4]
-
-
-def offsets_y(
-    air: DropAir,
-    classes: Int64[np.ndarray, " m"],
-    z: UInt32[np.ndarray, " m"],
-    steps: Int32[np.ndarray, " m"],
-    x: UInt32[np.ndarray, " m"],
-) -> Float32[np.ndarray, " m"]:
-    """The same along y, which depends on the drop's x, too."""
-    slow, gust, own = air.by_class[classes].T
-    row, height = _air_at(air, z)
-    sine, cosine = _sine_and_cosine(air, x)
-    gusts = (row(3) * sine + row(4) * cosine) * gust
-    return (row(1) * slow + gusts + steps.astype(np.float32) * own * height) * air.numbers[4]
-
-
-def _air_at(
-    air: DropAir, z: UInt32[np.ndarray, " m"]
-) -> tuple[Callable[[int], Float32[np.ndarray, " m"]], Float32[np.ndarray, " m"]]:
-    """Rows of the air at heights in the cell, and the heights above the ground in m."""
-    node, share = z >> np.uint32(24), (z & np.uint32(0xFFFFFF)).astype(np.float32) * _FRACTION
-    height = air.numbers[0] + (z >> np.uint32(8)).astype(np.float32) * _FRACTION * air.numbers[1]
-    return lambda row: air.rows[row][node] + share * (air.rows[row][node + 1] - air.rows[row][node]), height
-
-
-def _sine_and_cosine(
-    air: DropAir, x: UInt32[np.ndarray, " m"]
-) -> tuple[Float32[np.ndarray, " m"], Float32[np.ndarray, " m"]]:
-    """Of the gusts' wavenumber times x from the middle of the cell, to 6e-5 for angles up to 1.4."""
-    turn = ((x >> np.uint32(8)).astype(np.float32) * _FRACTION - _HALF_PERIOD) * air.numbers[3] * air.numbers[2]
-    square = turn * turn
-    sine = turn * (_ONE + square * (_SINE[0] + square * (_SINE[1] + square * _SINE[2])))
-    cosine = _ONE + square * (_COSINE[0] + square * (_COSINE[1] + square * (_COSINE[2] + square * _COSINE[3])))
-    return sine, cosine
-
-
-def air_velocities(air: DropAir, drops: Drops) -> Float64[np.ndarray, "m 2"]:
-    """Velocities of drops along x and y in m/s: mean wind, gusts and their own; derivatives of their positions."""
-    if air is CALM:
-        return np.zeros((len(drops.numbers), 2))
-    x, z = drops.fractions[:, 0], drops.fractions[:, 2]
-    slow, gust, own = air.by_class[drops.class_index].T
-    row, _ = _air_at(air, z)
-    sine, cosine = _sine_and_cosine(air, x)
-    across = -own / slow  # velocity for each step
-    along_x = row(5) + row(7) + across * drops.own_steps[:, 0]
-    carried = (along_x - air.numbers[5]) * air.numbers[2] * gust * (row(3) * cosine - row(4) * sine)
-    along_y = row(6) + row(8) * cosine + row(9) * sine + carried + across * drops.own_steps[:, 1]
-    return np.stack([along_x, along_y], axis=1).astype(np.float64)
+@numba.njit(parallel=True, cache=True, nogil=NOGIL)
+@no_type_check
+def _place_drops(numbers, seed, wraps, moved, rows, by_class, air_numbers, classes, placed, velocities):
+    zero, one, chunk_size = np.uint32(0), np.uint32(1), 512
+    for chunk in numba.prange((len(numbers) + chunk_size - 1) // chunk_size):
+        for m in range(chunk * chunk_size, min(len(numbers), (chunk + 1) * chunk_size)):
+            c, i = (numbers[m] * CLASS_STRIDE) % CLASSES, np.uint32(numbers[m])
+            air = by_class[c, 0], by_class[c, 1], by_class[c, 2]
+            _, _, start_z, _ = pcg4d_scalar(i, zero, zero, seed)
+            z = np.uint32(start_z + moved[c, 2])
+            wrap_z = np.uint32(np.uint32(wraps[c, 2]) + np.uint32(z < start_z))
+            start_x, drawn_x, drawn_y, _ = pcg4d_scalar(i, wrap_z, one, seed)
+            x, wrap_x = _place_x(rows, air_numbers, air, z, start_x, drawn_x, moved[c, 0], np.uint32(wraps[c, 0]))
+            y = _place_y(rows, air_numbers, air, i, seed, z, wrap_z, x, wrap_x, drawn_y, moved[c, 1])
+            classes[m], placed[m, 0], placed[m, 1], placed[m, 2] = c, x, y, z
+            velocities[m, 0], velocities[m, 1] = _air_velocity(
+                rows, air_numbers, air, z, x, own_steps(drawn_x), own_steps(drawn_y)
+            )

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float64
 
-from .air import AirScales, Wind, blended
+from .air import AirScales, Wind, blended, follows
 from .calibration import Calibration
 from .keyframes import KeyframeCurve, RainKeyframes
 from .properties import DropClassTable
@@ -45,7 +45,17 @@ class DropMotion:
 
     def scales(self, time_s: float) -> AirScales:
         """Scales of the drops' offsets at a time."""
-        return blended(self.before, self.since_s, self.wind.scales(self.fall_speed_m_s), time_s)
+        return blended(self.before, self.since_s, self._scales, time_s)
+
+    @cached_property
+    def _scales(self) -> AirScales:
+        """Scales of the wind's own offsets."""
+        return self.wind.scales(self.fall_speed_m_s)
+
+    @cached_property
+    def turbulence_m_s(self) -> Float64[np.ndarray, " classes"]:
+        """Standard deviation of the velocities that turbulence gives to drops, on each horizontal axis."""
+        return self.wind.turbulence_m_s * follows(self.fall_speed_m_s)
 
     def changed(self, time_s: float, wind: Wind, fall_speed_m_s: Float64[np.ndarray, " classes"]) -> "DropMotion":
         """Continue from the displacement at a time with another wind and other speeds."""

@@ -13,12 +13,11 @@ from ..scene.gaussians import Gaussians, sh_from_color
 from ..scene.geometry import srgb_to_linear
 from ..scene.lamps import LitLamps
 from ..scene.lens import ViewBounds, view_bounds
-from .drop_field import FIRST_OF_CLASS, LANES, DropCulling, DropPhases, Drops, air_velocities, mark_drops, place_drops
+from .drop_field import DropCulling, DropPhases, Drops, place_drops, search_drops
 from .haze import make_haze
 from .lamp_light import LampLight, light_of_drops, make_lamp_light
 from .medium import NO_STREAKS, RainMedium, make_medium, streak_depths
 from .phase import fog_phase, rain_phase
-from .properties import CLASSES
 from .settings import RainSettings
 from .shelter_map import ShelterMap
 from .streaks import ShutterModel, sh_of, streak_gaussians
@@ -164,21 +163,14 @@ class RainFrame:
         if count == 0:
             none = np.zeros(0, np.int64)
             return FallingDrops(none, none, np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3)))
-        turns = -(-count // (CLASSES * LANES)) * LANES  # whole SIMD vectors: a remainder would run one by one
-        found = np.empty((CLASSES, turns), np.bool_)
-        culling, where = self.culling, self.where
         camera = self.view.camera
         bounds = None if camera.is_pinhole else view_bounds(camera)
         everywhere = not in_view or (bounds is not None and bounds.slopes is None)
-        geometry = np.concatenate([np.ravel(each) for each in (self.period_m, *culling[:5])])
-        mark_drops(
-            np.uint32(self.rain.seed), np.uint32(count), where.wraps, where.fractions, geometry,
-            culling.class_margin_m, culling.class_far_m, everywhere, found, *where.air,
+        numbers = search_drops(
+            count, self.rain.seed, self.where, self.culling, self.period_m,
+            everywhere=everywhere, smallest_class=smallest_class,
         )  # fmt: skip
-        found[:smallest_class] = False
-        class_index, turn = np.divmod(np.flatnonzero(found), turns)
-        numbers = np.sort(turn * CLASSES + class_index * FIRST_OF_CLASS % CLASSES)
-        falling = self.falling(place_drops(numbers, self.rain.seed, where))
+        falling = self.falling(place_drops(numbers, self.rain.seed, self.where))
         if bounds is not None and in_view:
             falling = self._within_view(falling, bounds)
         return falling if self.roofs is None else falling.only(~self.roofs.shelter(falling.positions_m))
@@ -200,7 +192,7 @@ class RainFrame:
         c = drops.class_index
         positions = drops.positions(self.period_m) @ self.axes.T + self.center_m
         velocities = np.empty((len(c), 3))
-        velocities[:, :2] = air_velocities(self.where.air, drops)
+        velocities[:, :2] = drops.air_velocity_m_s
         velocities[:, 2] = -self.fall_speed_m_s[c]
         return FallingDrops(drops.numbers, c, positions, self.diameters_mm[c], velocities)
 

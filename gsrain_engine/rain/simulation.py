@@ -14,7 +14,7 @@ from ..scene.lamps import Lamp, LitLamps
 from ..scene.rolling_shutter import Readout, readout_of
 from ..scene.scene import Scene
 from ..scene.sensor import DEFAULT_SENSOR, Sensor, ThinLens, load_sensor
-from .air import Wind, follows
+from .air import Wind
 from .calibration import Calibration, load_calibration
 from .drop_field import DropCulling, DropPhases, drop_phases
 from .drop_motion import DropMotion, KeyframedDropMotion, wind_of
@@ -265,8 +265,9 @@ class RainSimulation:
             far = rain.critical_haze_coefficient * visible_distance_m(self.diameters_mm, shutter.focal_px)
         eye = shutter.velocity_m_s if rain.streak_frame == "camera" else np.zeros(3)
         fall = self.motion.fall_speed_m_s
-        own = 5 * self.motion.wind.turbulence_m_s * follows(fall)  # 3.45 standard deviations on two axes
-        speeds = np.hypot(fastest_m_s + own + float(np.hypot(eye[0], eye[1])), fall + eye[2])
+        own = 5 * self.motion.turbulence_m_s  # 3.45 standard deviations on two axes
+        level, down = fastest_m_s + own + float(np.hypot(eye[0], eye[1])), fall + eye[2]
+        speeds = np.sqrt(level * level + down * down)
         blur, readout_s, stretch = np.zeros(len(far)), shutter.readout.time_s, 1.0
         if shutter.lens.aperture_m:  # five standard deviations of the largest circle of confusion up to that depth
             farthest = float(np.linalg.norm(camera.position - center_m) + np.linalg.norm(size) / 2)

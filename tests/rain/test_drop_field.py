@@ -1,12 +1,15 @@
 import numpy as np
 import pytest
 
-from given_rain import found_drops
+from given_rain import HERE, STILL, found_drops
 from gsrain_engine.rain.drop_field import CLASS_STRIDE, DropCulling, drop_phases, place_drops
 from gsrain_engine.rain.drop_motion import DropMotion, Wind
 from gsrain_engine.rain.pcg_hash import pcg4d, pcg4d_scalar
 from gsrain_engine.rain.properties import CLASSES
+from gsrain_engine.rain.settings import RainSettings
+from gsrain_engine.rain.simulation import RainSimulation
 from oracles.drop_phases import displacement, phases_of
+from oracles.placed_drops import reference_drops
 
 PERIOD = np.array([8.0, 8.0, 6.0])
 FALL = np.linspace(1.0, 8.0, CLASSES)  # m/s by class
@@ -73,8 +76,8 @@ def test_compiled_search_finds_what_the_reference_places(time_s):
     where = phases_of(displaced(time_s, (1.0, -2.0)), np.array([1.0, 2.0, 3.0]), PERIOD)
     cull = culling()
     found = found_drops(50_000, 7, where, PERIOD, cull)
-    every = place_drops(np.arange(50_000), 7, where)
-    p = every.positions(PERIOD)
+    every = reference_drops(np.arange(50_000), 7, where)
+    p = (every.fractions * 2.0**-32 - 0.5) * PERIOD
     in_region = np.all(np.abs(p[:, :2] @ cull.region_rotation.T) <= cull.region_half[:2], axis=1)
     in_region &= np.abs(p[:, 2]) <= cull.region_half[2]
     u, v, depth = ((p - cull.camera_position) @ cull.cell_to_camera.T).T
@@ -84,6 +87,16 @@ def test_compiled_search_finds_what_the_reference_places(time_s):
     assert seen.sum() > 50
     assert np.array_equal(found, np.flatnonzero(seen))
     assert len(found_drops(50_000, 7, where, PERIOD, cull, in_view=False)) == in_region.sum()
+
+
+@pytest.mark.parametrize("air", [{}, {"wind_speed_m_s": 20.0, "gust_m_s": 6.0, "turbulence_m_s": 3.0}, STILL])
+def test_places_and_velocities_are_those_of_the_reference_in_every_bit(air):
+    field = RainSimulation.start(RainSettings(intensity_mm_h=8.5, **air)).frame(1234.5, HERE)
+    numbers = np.arange(200_000)
+    ours, expected = place_drops(numbers, 5, field.where), reference_drops(numbers, 5, field.where)
+    np.testing.assert_array_equal(ours.class_index, expected.class_index)
+    np.testing.assert_array_equal(ours.fractions, expected.fractions)
+    np.testing.assert_array_equal(ours.air_velocity_m_s, expected.air_velocity_m_s)
 
 
 def test_compiled_search_places_drops_to_the_last_bit_far_and_late():

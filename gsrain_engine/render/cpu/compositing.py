@@ -559,7 +559,7 @@ def sky_layer(medium: RainMedium, camera: Camera) -> SkyLayer:
         return SkyLayer(1 - medium.sky_transmittance(camera.rays), color)
     shares = np.empty((camera.height, camera.width), np.float32)
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
-    _write_sky(shares, intrinsics, medium.floor, medium.numbers, medium.drawn)
+    _write_sky(shares, intrinsics, tuple(medium.floor), tuple(medium.numbers), medium.drawn)  # see `dim_by_medium`
     return SkyLayer(shares, color)
 
 
