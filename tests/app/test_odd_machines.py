@@ -104,9 +104,7 @@ SLOW = ("matplotlib", "onnxruntime", "torch", "xarray", *(f"scipy.{part}" for pa
     [
         ("app.main", ("numpy", "numba", "gsrain_engine.scene.scene")),
         ("ui.window", ("scipy", "numba")),
-        ("ui.workspace", SLOW),
-        ("app.render, app.drive", SLOW),
-        ("app.scene, app.scene, app.evaluate.images", SLOW),
+        ("ui.workspace, app.render, app.drive, app.scene, app.evaluate.images", SLOW),
     ],
 )
 def test_a_start_does_not_load_what_it_may_never_need(modules, slow):

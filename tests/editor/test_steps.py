@@ -48,7 +48,7 @@ JSON = st.recursive(
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3),
     max_leaves=8,
 )  # fmt: skip
-NAMES = st.from_regex(r"[a-z][a-z_]{0,8}", fullmatch=True)
+NAMES = st.lists(st.text("abcxyz", min_size=1, max_size=4), min_size=1, max_size=2).map("_".join)
 
 VIEW = (
     '{"width": 96, "height": 64, "fx": 60, "fy": 60, "cx": 48, "cy": 32, '

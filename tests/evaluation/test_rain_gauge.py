@@ -42,33 +42,33 @@ def rain_frames(number, **rain):
     return np.stack(list(render_rain_frames(backdrop(), noise, CAMERA, falling, times, SKY)))
 
 
-@pytest.mark.parametrize(("rate", "aperture_mm"), [(10.0, 3.0), (40.0, 0.0)])
-def test_the_rate_that_was_set_is_read(rate, aperture_mm):
-    lens = {"aperture_mm": aperture_mm, "focus_distance_m": 1000.0}
-    found = reading(rain_frames(12, intensity_mm_h=rate, **lens))
+@pytest.fixture(scope="module")
+def frames():
+    return rain_frames(12, intensity_mm_h=10.0, aperture_mm=3.0, focus_distance_m=1000.0)
+
+
+@pytest.mark.parametrize("rate", [10.0, 40.0])
+def test_the_rate_that_was_set_is_read(rate, frames):
+    found = reading(frames if rate == 10 else rain_frames(12, intensity_mm_h=rate, aperture_mm=0.0))
     assert found.intensity_mm_h == pytest.approx(rate, rel=0.25)
     assert found.streaks > 100
     assert found.drop_light == pytest.approx(float(srgb_to_linear(np.array(SKY / 255))), rel=0.08)
     assert found.intensity_mm_h / np.sqrt(found.streaks) < found.error_mm_h < 0.2 * found.intensity_mm_h
 
 
-@pytest.fixture(scope="module")
-def frames():
-    return rain_frames(8, intensity_mm_h=10.0)
-
-
 def test_splashes_below_the_horizon_are_not_rain(frames):
-    splashed = frames.copy()
+    without = frames[:6]
+    splashed = without.copy()
     random = np.random.default_rng(0)
     for frame in splashed:
         for x, y in random.integers((20, HEIGHT // 2 + 20), (WIDTH - 20, HEIGHT - 40), (300, 2)):
             frame[y : y + 14, x : x + 3] = SKY
-    assert reading(splashed, horizon_px=None) == reading(frames, horizon_px=None)
+    assert reading(splashed, horizon_px=None) == reading(without, horizon_px=None)
 
 
 def test_color_reads_as_gray_does(frames):
     """The reading depends on what the residuals are."""
-    gray, color = light_residuals(frames), light_residuals(np.repeat(frames[..., None], 3, axis=3))
+    gray, color = (light_residuals(each) for each in (frames[:5], np.repeat(frames[:5, ..., None], 3, axis=3)))
     for name in ("background", "values", "sigma"):
         np.testing.assert_allclose(getattr(color, name), getattr(gray, name), rtol=1e-5, atol=1e-6)
     np.testing.assert_array_equal(color.still, gray.still)
@@ -76,12 +76,12 @@ def test_color_reads_as_gray_does(frames):
 
 def test_without_rain_there_is_no_reading():
     with pytest.raises(ValueError, match="streaks: too few"):
-        reading(rain_frames(8, intensity_mm_h=0.0))
+        reading(rain_frames(5, intensity_mm_h=0.0))
 
 
 def test_frames_of_dark_walls_alone_or_too_few_are_refused(frames):
     with pytest.raises(ValueError, match="dark and bright"):
-        reading(frames[:, HEIGHT // 2 :])
+        reading(frames[:5, HEIGHT // 2 :])
     with pytest.raises(ValueError, match="4 frames"):
         light_residuals(frames[:4])
 

@@ -77,9 +77,9 @@ def _one_more_layer(state: dict[str, Any]) -> None:
     state["sd_other"] |= {f"mid_block.none.lora_{f}.weight": torch.zeros(6, 6) for f in "AB"}
 
 
-@pytest.mark.parametrize(
-    ("change", "name"),
-    [
+def test_a_changed_checkpoint_is_refused_by_name_and_changes_nothing(tmp_path: Path) -> None:
+    checkpoint, model = published(trained_model()), untrained()
+    for change, name in (
         (_renamed("sd_other", "mid_block.resnets.0.conv1.lora_B.weight"), "sd_other.*conv1"),
         (_renamed("sd_vae_dec", "vae_b2a.decoder.skip_conv_1.lora_A.vae_skip.weight"), "sd_vae_dec.*skip_conv_1"),
         (lambda state: state.pop("sd_other"), "'sd_other'"),
@@ -87,13 +87,11 @@ def _one_more_layer(state: dict[str, Any]) -> None:
         (lambda state: state.update(rank_unet=7), "rank_unet"),
         (_cut, "'unet.up_blocks"),
         (_one_more_layer, "'unet.mid_block.none'"),
-    ],
-)
-def test_a_changed_checkpoint_is_refused_by_name_and_changes_nothing(tmp_path: Path, change: Any, name: str) -> None:
-    state, model = published(trained_model()), untrained()
-    change(state)
-    with pytest.raises(ValueError, match=rf"changed\.pkl.*{name}"):
-        load_weights(model, _saved(state, tmp_path / "changed.pkl"))
+    ):
+        state = {key: dict(each) if isinstance(each, dict) else each for key, each in checkpoint.items()}
+        change(state)
+        with pytest.raises(ValueError, match=rf"changed\.pkl.*{name}"):
+            load_weights(model, _saved(state, tmp_path / "changed.pkl"))
     assert torch.equal(out(model, PICTURES), out(pristine(), PICTURES))
 
 
