@@ -18,7 +18,7 @@ from render import gsplat_stand_in  # noqa: E402
 from render.cpu.raster_scenes import at_each_thread_count, drawn, random_gaussians, small_camera  # noqa: E402
 
 NAMES = ("means", "scales", "quaternions", "opacities", "colors", "world_to_camera")
-EXACT, STAND_IN = 3e-5, 1e-3
+EXACT, STAND_IN = 1e-5, 1e-3
 """Relative L2 in float32: by the dense reference in float64, and by the stand-in in float32."""
 
 
@@ -219,14 +219,13 @@ def test_a_footprint_has_three_standard_deviations_and_the_gradient_by_the_cente
 
 
 @settings(max_examples=15)
-@given(exponent=st.integers(-7, 7), seed=st.integers(0, 5))
-def test_a_quaternions_length_changes_nothing_and_is_never_pulled_at(exponent, seed):
-    """Powers of two round nothing, so that no fragment at the cut falls on its other side."""
+@given(length=st.floats(0.01, 100), seed=st.integers(0, 5))
+def test_a_quaternions_length_changes_nothing_and_is_never_pulled_at(length, seed):
     values = tensors(20, seed, 0)
-    longer = with_values(values, quaternions=2.0**exponent * values["quaternions"])
+    longer = with_values(values, quaternions=length * values["quaternions"])
     outputs = outputs_of(rendered(longer))
     for one, other in zip(outputs, outputs_of(rendered(values)), strict=True):
-        assert torch.equal(one, other)
+        assert_near(one, other, 1e-6)
     found = gradients(outputs, longer)["quaternions"]
     along = (found * longer["quaternions"]).sum(dim=1)
     assert (along.abs() <= 1e-12 + 1e-6 * found.norm(dim=1) * longer["quaternions"].norm(dim=1)).all()
