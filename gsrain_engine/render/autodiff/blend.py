@@ -1,4 +1,4 @@
-"""Differentiable blending of tiled splats to color, alpha and depth in float32, and its backward pass."""
+"""Differentiable blending of tiled splats to color, alpha and depth in float32 or float64, and its backward pass."""
 
 from typing import NamedTuple, no_type_check
 
@@ -24,7 +24,7 @@ class BlendedImage(NamedTuple):
 
 
 def blend(shapes: Float[np.ndarray, "n 8"], channels: Float[np.ndarray, "n 4"], tiles: TileLists) -> BlendedImage:
-    """Blend color and depth of the splats (three channels and one) over nothing."""
+    """Blend color and depth of the splats (three channels and one) over nothing, in the precision of `shapes`."""
     rgba, depth = composite(shapes, channels, tiles)
     color = np.stack([rgba[..., channel] for channel in range(3)], axis=-1)  # faster than a copy of the slice
     return BlendedImage(color, np.ascontiguousarray(rgba[..., 3]), depth)

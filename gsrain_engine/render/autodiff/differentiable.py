@@ -79,7 +79,7 @@ def render_gaussians(
     world_to_camera: Tensor | None = None,
     backend: Backend = "auto",
 ) -> Rendered:
-    """Render Gaussians with gradients for every argument that is a tensor; all tensors are float32.
+    """Render Gaussians with gradients for every argument that is a tensor.
 
     Conventions are the renderers': 0.3 px^2 of dilation, alpha cut at 1/255 and at most 0.999, a pixel ends at a
     transmittance of 1e-4, near plane at 0.2 m, colors never negative. Gaussians that are not finite are left out and
@@ -93,7 +93,7 @@ def render_gaussians(
         colors: (n, k, 3) spherical harmonics as in `Gaussians.sh` with k = 1, 4, 9 or 16, or (n, 3) display colors.
         camera: Camera in the world.
         world_to_camera: (4, 4) replaces the camera's own pose and receives gradients.
-        backend: "cpu" (Numba kernels), "cuda" (gsplat), "auto": by the tensors' device.
+        backend: "cpu" (Numba kernels; float32 or float64), "cuda" (gsplat; float32), "auto": by the tensors' device.
 
     Raises:
         ValueError: For inconsistent shapes, precisions or devices; the message names the tensor.
@@ -127,9 +127,11 @@ def check_tensors(
         )
     if pose is not None and tuple(pose.shape) != (4, 4):
         raise ValueError(f"world_to_camera has shape {tuple(pose.shape)}, expected (4, 4)")
-    for name, tensor in {"means": means, **others, "colors": colors, "world_to_camera": pose}.items():
-        if tensor is not None and tensor.dtype != torch.float32:
-            raise ValueError(f"{name} are {tensor.dtype}, expected torch.float32")
+    if str(means.dtype) not in ("torch.float32", "torch.float64"):
+        raise ValueError(f"means are {means.dtype}, expected torch.float32 or torch.float64")
+    for name, tensor in {**others, "colors": colors, "world_to_camera": pose}.items():
+        if tensor is not None and tensor.dtype != means.dtype:
+            raise ValueError(f"{name} are {tensor.dtype}, expected {means.dtype} as the means are")
         if tensor is not None and tensor.device != means.device:
             raise ValueError(f"{name} are on {tensor.device}, expected {means.device} where the means are")
 
@@ -145,7 +147,12 @@ class _Render(torch.autograd.Function):
         means, scales, quaternions, opacities, colors, pose, camera, footprint = inputs
         gaussians = _gaussians(means, scales, quaternions, opacities, colors)
         splats = project_trained(gaussians, camera, _matrix(pose))
-        tiles = bin_into_tiles(splats.shapes, nearest_first(splats.channels[:, 3]), camera.width, camera.height)
+        # Depths are compared in float32, as in all our renderers.
+        order, shapes = nearest_first(splats.channels[:, 3]), splats.shapes
+        if shapes.dtype != np.float32:
+            shapes = np.zeros(shapes.shape, np.float32)
+            shapes[order] = splats.shapes[order]
+        tiles = bin_into_tiles(shapes, order, camera.width, camera.height)
         outputs = tuple(torch.from_numpy(each) for each in blend(splats.shapes, splats.channels, tiles))
         footprint._radii_px = torch.from_numpy(splats.radii_px)
         ctx.save_for_backward(means, scales, quaternions, opacities, colors, pose, *outputs)
@@ -209,11 +216,13 @@ def render_with_gsplat(
     world_to_camera: Tensor | None,
     gsplat: Any = None,
 ) -> Rendered:
-    """Render the arguments of `render_gaussians` on one device, without waiting for it.
+    """Render the arguments of `render_gaussians` in float32 on one device, without waiting for it.
 
     `gsplat` is the library, or a module with its `rasterization` and `spherical_harmonics`; None imports it. Raises
-    `ValueError` if gsplat is not installed.
+    `ValueError` for float64, or if gsplat is not installed.
     """
+    if means.dtype != torch.float32:
+        raise ValueError(f"the cuda backend renders float32, got {means.dtype}; backend='cpu' renders both")
     if gsplat is None:
         try:
             gsplat = import_module("gsplat")

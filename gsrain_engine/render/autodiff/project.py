@@ -1,4 +1,4 @@
-"""Differentiable projection of Gaussians to splats in float32, and its backward pass."""
+"""Differentiable projection of Gaussians to splats in float32 or float64, and its backward pass."""
 
 from typing import NamedTuple, no_type_check
 
@@ -13,7 +13,7 @@ from ..cpu.splats import CHUNK, DILATION_PX2, LOG_SCENE_CUT, NEAR_M, rotation_co
 
 
 class TrainedGaussians(NamedTuple):
-    """Gaussians in the world (meters), float32; quaternions (wxyz) of any length above 0."""
+    """Gaussians in the world (meters), all arrays in one precision; quaternions (wxyz) of any length above 0."""
 
     means: Float[np.ndarray, "n 3"]
     scales: Float[np.ndarray, "n 3"]
@@ -86,7 +86,7 @@ def _unit(q):
 def _shape(mean, scale, q, opacity, m, intrinsics, shape):
     """Write one splat's shape as in `Splats`; return its depth in m and radius in px, or 0 if it is not drawn.
 
-    Scalars are float64.
+    Scalars are float64 in either precision.
     """
     fx, fy, cx, cy, width, height = intrinsics
     px, py, pz = in_camera(m, mean)
