@@ -127,7 +127,7 @@ def first(folder, plant):
         person.click("//Record/Record...")
         person.type_into("Record timeline", str(folder / "window.mp4"))
         person.until(lambda: bool(editor.jobs.all), 1000)
-        person.until(person.is_idle, 1_000_000)
+        person.until_worked(person.is_idle)
         person.say("recorded", editor.jobs.all[-1].state, editor.jobs.all[-1].error)
 
         person.ctx.window_focus("//View")

@@ -99,19 +99,23 @@ class Driver:
 
             self.until(is_current)
 
-    def until(self, condition, most=4000):
+    def until(self, condition, most=4000, silence_s=0.1):
         for _ in range(most):
             if condition():
                 return
-            self.let_workers_work()
+            self.let_workers_work(silence_s)
             self.ctx.yield_()
         raise AssertionError("waited in vain")
 
-    def let_workers_work(self):
+    def until_worked(self, condition):
+        """Wait for the worker of a job, which says what is new: frames meanwhile would only take its processor."""
+        self.until(condition, 100_000, silence_s=2.0)
+
+    def let_workers_work(self, silence_s=0.1):
         """Draw no frames that would only take the processor from a picture or a worker with nothing to say yet."""
         if self.window.workspace is not None:
             self.pictures.wait(0.1)
-        self.editor.jobs.wait(0.1)
+        self.editor.jobs.wait(silence_s)
 
     @contextmanager
     def journey(self, actions):

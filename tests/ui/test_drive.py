@@ -55,7 +55,7 @@ def test_a_scenario_is_changed_saved_and_driven_from_the_panel(driver, tmp_path)
             driver.tap(f"{driver.panel('Drive')}###drive")
         driver.until(lambda: len(editor.jobs.all) == 1)
         job = editor.jobs.all[0]
-        driver.until(lambda: job.state != "running" and not drives.is_working, 100_000)
+        driver.until_worked(lambda: job.state != "running" and not drives.is_working)
         assert (job.state, job.error, editor.status.problem) == ("finished", None, None)
         assert (drives.playing.intensity_mm_h, drives.playing.metrics.end) == (5.0, "time")
         driver.frames()

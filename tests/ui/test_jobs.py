@@ -36,7 +36,7 @@ def test_a_view_is_previewed_then_the_scene_made_rainy_compared_and_undone(drive
         with driver.journey(2):  # a view in rain
             driver.tap(f"{driver.panel('Wet look')}###preview")
         assert rainy.why_not is None  # the job would wait for the preview
-        driver.until(lambda: not editor.jobs.running, 1_000_000)
+        driver.until_worked(lambda: not editor.jobs.running)
         driver.frames()
         assert editor.status.problem is None
         assert rainy.previewed.images.pictures["rainy"].shape[1] == 96
@@ -53,7 +53,7 @@ def test_a_view_is_previewed_then_the_scene_made_rainy_compared_and_undone(drive
         assert rainy.what_is_stale == "The settings have changed since."
 
         driver.click(f"{PANEL}###make")
-        driver.until(lambda: editor.jobs.all[0].progress.message == "Starting", 1_000_000)
+        driver.until_worked(lambda: editor.jobs.all[0].progress.message == "Starting")
         assert ctx.item_exists(f"{PANEL}###make")  # another one would wait
         driver.click(f"{PANEL}Cancel##0")
         assert (editor.jobs.all[0].state, editor.document.scene) == ("cancelled", before)
@@ -64,8 +64,8 @@ def test_a_view_is_previewed_then_the_scene_made_rainy_compared_and_undone(drive
         with driver.journey(2):  # a wet scene
             driver.tap(f"{driver.panel('Wet look')}###make")
         (job,) = editor.jobs.all
-        driver.until(lambda: job in editor.viewport.job_previews or job.state != "running", 1_000_000)
-        driver.until(lambda: job.state != "running" and editor.viewport.staged is None, 1_000_000)
+        driver.until_worked(lambda: job in editor.viewport.job_previews or job.state != "running")
+        driver.until_worked(lambda: job.state != "running" and editor.viewport.staged is None)
         assert (job.state, job.error) == ("finished", None)
         assert job.report.is_file()
         assert editor.document.history.labels == ["Opened", MAKE_RAINY_TITLE]
@@ -148,7 +148,7 @@ def test_the_input_of_a_network_appears_with_the_preview_and_the_job(driver, tmp
         driver.ctx.set_ref("")
         driver.click(f"{PANEL}More settings")
         driver.click(f"{PANEL}###preview")
-        driver.until(lambda: not editor.jobs.running, 1_000_000)
+        driver.until_worked(lambda: not editor.jobs.running)
         driver.frames()
         assert editor.status.problem is None
         images = rainy.previewed.images
@@ -196,7 +196,7 @@ def test_a_capture_becomes_a_scene_that_takes_on_the_look_of_pictures(drive, dri
         # Where it was started there is how far it is, and what is started next waits.
         assert driver.ctx.item_exists("//Capture/Reconstruct/Cancel##0")
         assert driver.ctx.item_exists("//Capture/Reconstruct/Reconstruct")
-        driver.until(lambda: ended(job), 1_000_000)
+        driver.until_worked(lambda: ended(job))
         assert (job.state, job.error) == ("finished", None)
         assert editor.document.history.labels == ["Opened", "Reconstruct drive"]
         assert {layer.kind for layer in editor.document.scene.layers} == {"background", "sky"}
@@ -219,7 +219,7 @@ def test_a_capture_becomes_a_scene_that_takes_on_the_look_of_pictures(drive, dri
         driver.click("//Rain/Streaks")
         editor.document.change_rain("Haze", haze="none")
         editor.training.recolor(drive / "dim")
-        driver.until(lambda: ended(editor.jobs.all[-1]), 1_000_000)
+        driver.until_worked(lambda: ended(editor.jobs.all[-1]))
         assert (editor.jobs.all[-1].state, editor.jobs.all[-1].error) == ("finished", None)
         assert np.array_equal(driver.picture(), trained)  # it does not rain
         driver.type_in("//Rain/##intensity_mm_h", 12.0)
@@ -259,11 +259,11 @@ def test_a_clip_is_recorded_while_the_window_goes_on(driver, tmp_path, monkeypat
         driver.until(lambda: len(editor.jobs.all) == 1)
         job = editor.jobs.all[0]
         driver.ctx.window_focus("//Jobs")
-        driver.until(lambda: job in editor.viewport.job_previews or job.state != "running", 100_000)
+        driver.until_worked(lambda: job in editor.viewport.job_previews or job.state != "running")
         assert editor.viewport.job_previews[job][1:] == (240, 160)  # every second pixel
         driver.click("//Rain/12.0")  # the recording has the document as it was
         assert editor.document.rain.intensity_mm_h == 12.0
-        driver.until(lambda: job.state != "running", 100_000)
+        driver.until_worked(lambda: job.state != "running")
         assert (job.state, job.error) == ("finished", None)
         driver.frames(2)
         driver.tap("//**/###open output")
