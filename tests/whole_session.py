@@ -56,7 +56,6 @@ def first(folder, plant):
     editor = person.editor
 
     def script():
-        editor.viewport.options.shrink = 4  # a coarse picture: nobody looks at it
         person.click("//View/###Play")  # time stands still
         person.press(chord(CTRL, KEY.o))
         person.type_into("Open a scene", str(plant))

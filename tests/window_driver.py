@@ -40,6 +40,7 @@ class Driver:
         self._is_seen = self._is_over = False
 
     def run(self, script):
+        self.editor.viewport.options.shrink = 4  # coarse, but for `picture`: it is drawn after each action
         self.editor.preferences.value = replace(
             self.editor.preferences.value, desktop_dialogs=False, hint=False, known_version=version("gsrain")
         )
@@ -265,8 +266,11 @@ class Driver:
             imgui.get_io().display_framebuffer_scale = imgui.get_main_viewport().framebuffer_scale = scale
 
     def picture(self):
-        """Image of the viewport, by the screenshot command."""
+        """Image of the viewport, by the screenshot command, with all pixels."""
         path = self.folder / f"picture{len(list(self.folder.iterdir()))}.png"
+        options = self.editor.viewport.options
+        shrink, options.shrink = options.shrink, 1
         self.editor.viewport.screenshot = path
         self.until(path.exists)
+        options.shrink = shrink
         return np.asarray(Image.open(path)).astype(int)
