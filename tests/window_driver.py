@@ -215,17 +215,20 @@ class Driver:
         self.actions += 1
         for key in held:
             self.ctx.key_down(key)
-        self.frames()
+            self.frames()
         self.ctx.mouse_down(button)
         self.frames()
         for place in places[1:]:
-            self.point_at(place)
+            self.ctx.mouse_move_to_pos(imgui.ImVec2(*map(float, place)))
+            self.ctx.yield_()
+            self.ctx.yield_()
+        self.frames()
         if lets_go:
             self.ctx.mouse_up(button)
             self.frames()
         for key in held:
             self.ctx.key_up(key)
-        self.frames()
+            self.frames()
 
     def choose_file(self, title, path):
         """Type a place into a file dialog, with Enter."""

@@ -33,7 +33,6 @@ def driver(tmp_path):
 def test_a_capture_is_opened_listed_looked_from_and_closed(driver, tmp_path):
     folder = written_capture(tmp_path / "drive")
     editor, captures = driver.editor, driver.editor.captures
-
     captures.open(folder)  # its panel comes to the front
     driver.until(lambda: captures.capture is not None)
     assert editor.status.problem is None

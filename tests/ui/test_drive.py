@@ -30,7 +30,6 @@ def rollout(tmp_path_factory):
 def test_a_scenario_is_changed_saved_and_driven_from_the_panel(driver, tmp_path):
     editor = driver.editor
     drives = editor.rollouts
-
     driver.ctx.window_focus("//Drive")
     driver.frames()
     driver.ctx.set_ref("//Drive")

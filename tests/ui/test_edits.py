@@ -87,7 +87,6 @@ def test_the_selection_is_dragged_and_escape_takes_it_back(driver):
 
 def test_a_face_of_the_crop_box_is_dragged_and_applied(driver):
     editor = driver.editor
-
     use(driver, "Crop")
     editor.viewport.frame_scene()
     editor.viewport.navigation.orbit(0.5, -0.4)

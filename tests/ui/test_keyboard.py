@@ -58,7 +58,6 @@ def test_a_double_click_sets_the_pivot_that_an_orbit_turns_around(driver):
 
 def test_menus_and_lists_are_used_by_the_keyboard(driver):
     document, options = driver.editor.document, driver.editor.viewport.options
-
     driver.click("//Rain/##haze")  # a list
     driver.press(KEY.g)
     driver.press(KEY.enter)

@@ -44,7 +44,6 @@ LOWER = ((0.2, 0.62), (0.9, 0.62), (0.9, 0.95), (0.2, 0.95))
 
 def test_rectangle_and_its_modes_and_undo(driver):
     editor = driver.editor
-
     driver.use("Rectangle")
     driver.draw(LOWER[0], LOWER[2])
     first = driver.counts()
@@ -107,7 +106,6 @@ def test_lasso_polygon_and_brush(driver):
 
 def test_sphere_and_box_are_placed_sized_and_applied(driver):
     editor, options = driver.editor, driver.editor.selection
-
     driver.use("Sphere")
     driver.draw((0.5, 0.75), (0.7, 0.75))
     assert abs(options.ball.center_m[2]) < 0.1  # on the road
@@ -135,7 +133,6 @@ def test_sphere_and_box_are_placed_sized_and_applied(driver):
 
 def test_a_range_dragged_over_the_histogram_selects(driver):
     options = driver.editor.selection
-
     driver.ctx.window_focus("//Select")
     driver.ctx.set_ref("//Select")
     driver.ctx.combo_click("##attribute/height (m)")

@@ -243,7 +243,6 @@ def test_haze_has_a_form_and_maybe_a_region(driver):
 def test_the_drop_color_is_picked_from_the_view(driver):
     """A pixel of the wall, which is reddish, then a rectangle of the sky; back to the scene's sky."""
     editor = driver.editor
-
     editor.document.change_rain("Intensity", intensity_mm_h=8.5)
     driver.frames(3)
     driver.click("//Rain/###pick sky")

@@ -89,7 +89,6 @@ def test_files_open_by_drop_and_bad_ones_are_reported(driver, tmp_path):
 
 def test_two_pictures_beside_each_other_and_a_divider_between(driver):
     options = driver.editor.viewport.options
-
     driver.click("//Rain/8.5")
     driver.editor.document.change_rain("Much", streak_gain=50.0)
     driver.frames()
@@ -133,7 +132,6 @@ def test_while_the_camera_moves_less_is_drawn_and_all_of_it_at_rest(driver):
 
 def test_calibration_and_disdrometer_panels_measure_the_rain(driver):
     lab = driver.editor.calibration
-
     driver.editor.document.change_rain("Intensity", intensity_mm_h=8.5)
     driver.ctx.window_focus("//Disdrometer")
     driver.ctx.set_ref("//Disdrometer")
