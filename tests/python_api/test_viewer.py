@@ -25,7 +25,7 @@ needs_display = pytest.mark.skipif(
 
 SMALLER = (
     ("(960, 640)", "(192, 128)"), ("seconds=6)", "seconds=0.2)"), ("fps=30", "fps=10, size=(192, 128)"),
-    ("path, fps=10)", "path, fps=10, size=(192, 128))"),
+    ("path, fps=10)", "path, fps=10, size=(192, 128))"), ("gr.show(", "v.close(); gr.show("),
 )  # fmt: skip
 
 
@@ -41,6 +41,7 @@ def window_of_this_process():
 
 @needs_display
 def test_what_is_set_is_shown_and_what_is_shown_is_read(tmp_path, monkeypatch):
+    monkeypatch.setattr("gsrain.viewer._END_S", WINDOW_S)
     (tmp_path / "app").mkdir()
     (tmp_path / "app" / "__init__.py").write_text("raise SystemExit('this is the app of somebody else')")
     monkeypatch.chdir(tmp_path)
@@ -111,7 +112,6 @@ def test_the_whole_example_runs_with_smaller_pictures(tmp_path, monkeypatch):
         assert whole in tour
         tour = tour.replace(whole, small)
     exec(compile(tour, "tour.py", "exec"), names)
-    names["v"].close()
     for name in ("rain.png", "shot.png", "last.png"):
         assert pixels(name).std() > 5
     assert names["run"].rollout == gr.read_rollout("run.jsonl")
