@@ -51,6 +51,13 @@ def test_a_view_is_previewed_then_the_scene_made_rainy_compared_and_undone(drive
     driver.frames()
     assert rainy.what_is_stale == "The settings have changed since."
 
+    driver.click(f"{PANEL}###make")
+    driver.until_worked(lambda: editor.jobs.all[0].progress.message == "Starting")
+    assert ctx.item_exists(f"{PANEL}###make")  # another one would wait
+    driver.click(f"{PANEL}Cancel##0")
+    assert (editor.jobs.all[0].state, editor.document.scene) == ("cancelled", before)
+    editor.jobs.clear()
+
     blue_sky = editor.live_rain.sky
     driver.panel("Rain")
     with driver.journey(2):  # a wet scene
@@ -279,12 +286,12 @@ def test_a_clip_is_recorded_while_the_window_goes_on(driver, tmp_path, monkeypat
     assert editor.jobs.waiting == [fourth, third]
     driver.tap("//**/Cancel##2")
     assert (third.state, editor.jobs.waiting) == ("cancelled", [fourth])
+    driver.press(imgui.Key.escape)
     place = driver.area("//**/###cancel job")[0]
-    driver.tap("//**/Cancel##1")
+    driver.tap("//**/###cancel job")  # of the status bar
     driver.until(lambda: fourth.state == "running")
     assert other.state == "cancelled" and np.array_equal(driver.area("//**/###cancel job")[0], place)
-    driver.press(imgui.Key.escape)
-    driver.tap("//**/###cancel job")  # of the status bar
+    driver.tap("//**/###cancel job")
     assert (fourth.state, editor.jobs.pending) == ("cancelled", [])
     with av.open(str(target)) as container:
         assert sum(1 for _ in container.decode(video=0)) == 40
