@@ -35,9 +35,15 @@ os.environ.setdefault("LP_NUM_THREADS", "0")  # Mesa's llvmpipe
 gc.set_threshold(20_000)
 
 
+# Folders with the files that take longest; with these first, two processes end at about the same time.
+_LONGEST = ("ui", "test_", "python_api", "sweep", "evaluation", "recolor", "appearance", "training", "water", "render")
+
+
 def pytest_collection_modifyitems(items):
-    """Begin with the files that take longest, windows and examples: two processes then end at about the same time."""
-    items.sort(key=lambda item: not item.nodeid.startswith(("tests/ui/", "tests/test_")))
+    def rank(item):
+        return next((i for i, each in enumerate(_LONGEST) if item.nodeid.startswith(f"tests/{each}")), len(_LONGEST))
+
+    items.sort(key=rank)
 
 
 def pytest_collection_finish():

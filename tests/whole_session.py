@@ -56,7 +56,6 @@ def first(folder, plant):
     editor = person.editor
 
     def script():
-        editor.viewport.options.shrink = 4  # a coarse picture: nobody looks at it
         person.click("//View/###Play")  # time stands still
         person.press(chord(CTRL, KEY.o))
         person.type_into("Open a scene", str(plant))
@@ -127,7 +126,7 @@ def first(folder, plant):
         person.click("//Record/Record...")
         person.type_into("Record timeline", str(folder / "window.mp4"))
         person.until(lambda: bool(editor.jobs.all), 1000)
-        person.until(person.is_idle, 1_000_000)
+        person.until_worked(person.is_idle)
         person.say("recorded", editor.jobs.all[-1].state, editor.jobs.all[-1].error)
 
         person.ctx.window_focus("//View")

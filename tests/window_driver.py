@@ -40,6 +40,7 @@ class Driver:
         self._is_seen = self._is_over = False
 
     def run(self, script):
+        self.editor.viewport.options.shrink = 4  # coarse, but for `picture`: it is drawn after each action
         self.editor.preferences.value = replace(
             self.editor.preferences.value, desktop_dialogs=False, hint=False, known_version=version("gsrain")
         )
@@ -99,19 +100,23 @@ class Driver:
 
             self.until(is_current)
 
-    def until(self, condition, most=4000):
+    def until(self, condition, most=4000, silence_s=0.1):
         for _ in range(most):
             if condition():
                 return
-            self.let_workers_work()
+            self.let_workers_work(silence_s)
             self.ctx.yield_()
         raise AssertionError("waited in vain")
 
-    def let_workers_work(self):
+    def until_worked(self, condition):
+        """Wait for the worker of a job, which says what is new: frames meanwhile would only take its processor."""
+        self.until(condition, 100_000, silence_s=2.0)
+
+    def let_workers_work(self, silence_s=0.1):
         """Draw no frames that would only take the processor from a picture or a worker with nothing to say yet."""
         if self.window.workspace is not None:
             self.pictures.wait(0.1)
-        self.editor.jobs.wait(0.1)
+        self.editor.jobs.wait(silence_s)
 
     @contextmanager
     def journey(self, actions):
@@ -210,17 +215,20 @@ class Driver:
         self.actions += 1
         for key in held:
             self.ctx.key_down(key)
-        self.frames()
+            self.frames()
         self.ctx.mouse_down(button)
         self.frames()
         for place in places[1:]:
-            self.point_at(place)
+            self.ctx.mouse_move_to_pos(imgui.ImVec2(*map(float, place)))
+            self.ctx.yield_()
+            self.ctx.yield_()
+        self.frames()
         if lets_go:
             self.ctx.mouse_up(button)
             self.frames()
         for key in held:
             self.ctx.key_up(key)
-        self.frames()
+            self.frames()
 
     def choose_file(self, title, path):
         """Type a place into a file dialog, with Enter."""
@@ -261,8 +269,11 @@ class Driver:
             imgui.get_io().display_framebuffer_scale = imgui.get_main_viewport().framebuffer_scale = scale
 
     def picture(self):
-        """Image of the viewport, by the screenshot command."""
+        """Image of the viewport, by the screenshot command, with all pixels."""
         path = self.folder / f"picture{len(list(self.folder.iterdir()))}.png"
+        options = self.editor.viewport.options
+        shrink, options.shrink = options.shrink, 1
         self.editor.viewport.screenshot = path
         self.until(path.exists)
+        options.shrink = shrink
         return np.asarray(Image.open(path)).astype(int)

@@ -1,6 +1,17 @@
-"""Fixtures of the tests of the window."""
+"""Fixtures of the tests of the window; a test that takes `driver` runs in its open window."""
+
+import inspect
 
 import pytest
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_pyfunc_call(pyfuncitem):
+    given = {name: pyfuncitem.funcargs[name] for name in inspect.signature(pyfuncitem.function).parameters}
+    if "driver" not in given:
+        return None
+    given["driver"].run(lambda: pyfuncitem.obj(**given))
+    return True
 
 
 @pytest.fixture(autouse=True)
@@ -10,9 +21,15 @@ def _default_preferences(tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def driver(tmp_path):
-    """A window with the small scene; its pictures are saved in a folder of their own."""
+def unopened(tmp_path):
+    """A window with the small scene, for the test to open; its pictures are saved in a folder of their own."""
     from window_driver import Driver  # skips where no window can open
 
     (tmp_path / "shots").mkdir()
     return Driver(tmp_path / "shots")
+
+
+@pytest.fixture
+def driver(unopened):
+    """A window in which the test runs."""
+    return unopened

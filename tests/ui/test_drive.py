@@ -30,77 +30,70 @@ def rollout(tmp_path_factory):
 def test_a_scenario_is_changed_saved_and_driven_from_the_panel(driver, tmp_path):
     editor = driver.editor
     drives = editor.rollouts
-
-    def script():
-        driver.ctx.window_focus("//Drive")
-        driver.frames()
-        driver.ctx.set_ref("//Drive")
-        driver.tap("Change scenario")
-        driver.ctx.item_input_value("**/##duration_s", 1.0)
-        driver.type_in("**/##speed_m_s", 2.5)
-        assert drives.setup.is_changed
-        driver.ctx.item_click("**/###save scenario")
-        driver.choose_file("Save scenario", tmp_path / "short.yaml")
-        saved = load_scenario(tmp_path / "short.yaml")
-        assert (saved.duration_s, saved.speed_m_s) == (1.0, 2.5)
-        driver.ctx.set_ref("//Drive")
-        driver.ctx.item_click("Change scenario")
-        driver.ctx.combo_click("##agent/constant-velocity")
-        driver.ctx.combo_click("##rain/one intensity")
-        driver.frames()
-        driver.type_in("##intensity_mm_h", 5.0)
-        driver.ctx.set_ref("")
-        driver.panel("Rain")
-        with driver.journey(2):
-            driver.tap(f"{driver.panel('Drive')}###drive")
-        driver.until(lambda: len(editor.jobs.all) == 1)
-        job = editor.jobs.all[0]
-        driver.until(lambda: job.state != "running" and not drives.is_working, 100_000)
-        assert (job.state, job.error, editor.status.problem) == ("finished", None, None)
-        assert (drives.playing.intensity_mm_h, drives.playing.metrics.end) == (5.0, "time")
-        driver.frames()
-        driver.ctx.item_click("//Drive/###save roll-out")
-        driver.choose_file("Save roll-out", tmp_path / "mine.jsonl")
-        driver.until(lambda: not drives.is_working)
-        assert read_rollout(tmp_path / "mine.jsonl") == drives.playing.rollout
-
-    driver.run(script)
+    driver.ctx.window_focus("//Drive")
+    driver.frames()
+    driver.ctx.set_ref("//Drive")
+    driver.tap("Change scenario")
+    driver.ctx.item_input_value("**/##duration_s", 1.0)
+    driver.type_in("**/##speed_m_s", 2.5)
+    assert drives.setup.is_changed
+    driver.ctx.item_click("**/###save scenario")
+    driver.choose_file("Save scenario", tmp_path / "short.yaml")
+    saved = load_scenario(tmp_path / "short.yaml")
+    assert (saved.duration_s, saved.speed_m_s) == (1.0, 2.5)
+    driver.ctx.set_ref("//Drive")
+    driver.ctx.item_click("Change scenario")
+    driver.ctx.combo_click("##agent/constant-velocity")
+    driver.ctx.combo_click("##rain/one intensity")
+    driver.frames()
+    driver.type_in("##intensity_mm_h", 5.0)
+    driver.ctx.set_ref("")
+    driver.panel("Rain")
+    with driver.journey(2):
+        driver.tap(f"{driver.panel('Drive')}###drive")
+    driver.until(lambda: len(editor.jobs.all) == 1)
+    job = editor.jobs.all[0]
+    driver.until_worked(lambda: job.state != "running" and not drives.is_working)
+    assert (job.state, job.error, editor.status.problem) == ("finished", None, None)
+    assert (drives.playing.intensity_mm_h, drives.playing.metrics.end) == (5.0, "time")
+    driver.frames()
+    driver.ctx.item_click("//Drive/###save roll-out")
+    driver.choose_file("Save roll-out", tmp_path / "mine.jsonl")
+    driver.until(lambda: not drives.is_working)
+    assert read_rollout(tmp_path / "mine.jsonl") == drives.playing.rollout
 
 
 def test_a_rollout_that_was_dropped_plays_and_goes_away_again(driver, rollout):
     editor = driver.editor
     drives = editor.rollouts
 
-    def script():
-        before = driver.picture()
-        home = editor.viewport.navigation.camera(90, 60).world_to_camera
-        driver.window.drop([str(rollout)])
-        driver.until(lambda: drives.playing is not None and not drives.is_working)
-        driver.ctx.window_focus("//Drive")
-        driver.frames(3)
-        first = driver.picture()
-        assert np.abs(first - before).mean() > 2  # a car, another place, rain
-        driver.tap("//Drive/###collision")
-        assert drives.step_now.collision == "lead"
-        driver.ctx.window_focus("//Drive plots")
-        driver.frames(3)
-        corner, size = driver.area("//Drive plots/##Speed")
-        driver.click_at(corner + size / 2)
-        assert 0.3 < editor.playback.clock.time_s / drives.playing.duration_s < 0.7
-        driver.tap("//Drive/front camera")
-        front = editor.viewport.navigation.camera(90, 60).world_to_camera
-        driver.tap("//Drive/Ego car")
-        assert [each.id for each in editor.rollouts.displayed_scene.actors] == ["lead"]
-        driver.ctx.mouse_move("//View/view")
-        driver.ctx.mouse_drag_with_delta(imgui.ImVec2(40, 0), 1)  # a person looks elsewhere
-        driver.frames()
-        assert driver.editor.viewport.chase.mode == "free"
-        assert not np.allclose(editor.viewport.navigation.camera(90, 60).world_to_camera, front)
-        driver.tap("//Drive/**/###close")
-        assert (drives.playing, editor.document.history.cursor, editor.files.has_changes) == (None, 0, False)
-        editor.playback.clock.seek(0.0)
-        editor.viewport.go_home()
-        assert np.allclose(editor.viewport.navigation.camera(90, 60).world_to_camera, home)
-        assert np.abs(driver.picture() - before).max() <= 2
-
-    driver.run(script)
+    before = driver.picture()
+    home = editor.viewport.navigation.camera(90, 60).world_to_camera
+    driver.window.drop([str(rollout)])
+    driver.until(lambda: drives.playing is not None and not drives.is_working)
+    driver.ctx.window_focus("//Drive")
+    driver.frames(3)
+    first = driver.picture()
+    assert np.abs(first - before).mean() > 2  # a car, another place, rain
+    driver.tap("//Drive/###collision")
+    assert drives.step_now.collision == "lead"
+    driver.ctx.window_focus("//Drive plots")
+    driver.frames(3)
+    corner, size = driver.area("//Drive plots/##Speed")
+    driver.click_at(corner + size / 2)
+    assert 0.3 < editor.playback.clock.time_s / drives.playing.duration_s < 0.7
+    driver.tap("//Drive/front camera")
+    front = editor.viewport.navigation.camera(90, 60).world_to_camera
+    driver.tap("//Drive/Ego car")
+    assert [each.id for each in editor.rollouts.displayed_scene.actors] == ["lead"]
+    driver.ctx.mouse_move("//View/view")
+    driver.ctx.mouse_drag_with_delta(imgui.ImVec2(40, 0), 1)  # a person looks elsewhere
+    driver.frames()
+    assert driver.editor.viewport.chase.mode == "free"
+    assert not np.allclose(editor.viewport.navigation.camera(90, 60).world_to_camera, front)
+    driver.tap("//Drive/**/###close")
+    assert (drives.playing, editor.document.history.cursor, editor.files.has_changes) == (None, 0, False)
+    editor.playback.clock.seek(0.0)
+    editor.viewport.go_home()
+    assert np.allclose(editor.viewport.navigation.camera(90, 60).world_to_camera, home)
+    assert np.abs(driver.picture() - before).max() <= 2

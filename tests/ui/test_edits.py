@@ -42,74 +42,64 @@ def release(driver):
 def test_dragging_an_arrow_moves_the_layer_as_one_step(driver):
     editor = driver.editor
 
-    def script():
-        editor.viewport.options.member = WALL
-        before, steps = driver.picture(), editor.document.history.cursor
-        driver.press(imgui.Key.t)
-        assert editor.viewport.options.tool == "Transform"
-        driver.frames(3)
-        drag_up(driver, arrow_at(driver, np.array([40, 0, 4.5])), 40, lets_go=False)
-        assert editor.document.history.cursor == steps
-        dragged = driver.picture()
-        assert np.abs(dragged - before).max() > 20
-        release(driver)
-        assert editor.document.history.labels[steps + 1 :] == ["Move wall"]
-        move = editor.document.scene.member(WALL).to_scene
-        assert move[2, 3] > 1
-        assert move[:2, 3] == pytest.approx(np.zeros(2), abs=1e-3)
-        assert np.array_equal(driver.picture(), dragged)
-        driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.z))
-        assert np.array_equal(driver.picture(), before)
-
-    driver.run(script)
+    editor.viewport.options.member = WALL
+    before, steps = driver.picture(), editor.document.history.cursor
+    driver.press(imgui.Key.t)
+    assert editor.viewport.options.tool == "Transform"
+    driver.frames(3)
+    drag_up(driver, arrow_at(driver, np.array([40, 0, 4.5])), 40, lets_go=False)
+    assert editor.document.history.cursor == steps
+    dragged = driver.picture()
+    assert np.abs(dragged - before).max() > 20
+    release(driver)
+    assert editor.document.history.labels[steps + 1 :] == ["Move wall"]
+    move = editor.document.scene.member(WALL).to_scene
+    assert move[2, 3] > 1
+    assert move[:2, 3] == pytest.approx(np.zeros(2), abs=1e-3)
+    assert np.array_equal(driver.picture(), dragged)
+    driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.z))
+    assert np.array_equal(driver.picture(), before)
 
 
 def test_the_selection_is_dragged_and_escape_takes_it_back(driver):
     editor = driver.editor
 
-    def script():
-        editor.viewport.options.show_selection = False
-        wall = editor.document.scene.member(WALL)
-        means = wall.gaussians.means
-        upper = means[:, 2] > 4.5
-        change_wall(editor, marks=replace(wall.marks, selected=BitMask.of(upper)))
-        before, steps = driver.picture(), editor.document.history.cursor
-        use(driver, "Transform")
-        handle = arrow_at(driver, np.median(means[upper], axis=0).astype(float))
-        drag_up(driver, handle, 30, lets_go=False)
-        assert np.abs(driver.picture() - before).max() > 20
-        driver.press(imgui.Key.escape)
-        release(driver)
-        assert editor.document.history.cursor == steps
-        use(driver, "Transform")
-        assert np.array_equal(driver.picture(), before)
-        drag_up(driver, handle, 30)
-        assert editor.document.history.undo_label == "Move the selection"
-        moved = editor.document.scene.member(WALL).gaussians.means - means
-        assert np.all(moved[upper][:, 2] > 0.5) and not moved[~upper].any()
-
-    driver.run(script)
+    editor.viewport.options.show_selection = False
+    wall = editor.document.scene.member(WALL)
+    means = wall.gaussians.means
+    upper = means[:, 2] > 4.5
+    change_wall(editor, marks=replace(wall.marks, selected=BitMask.of(upper)))
+    before, steps = driver.picture(), editor.document.history.cursor
+    use(driver, "Transform")
+    handle = arrow_at(driver, np.median(means[upper], axis=0).astype(float))
+    drag_up(driver, handle, 30, lets_go=False)
+    assert np.abs(driver.picture() - before).max() > 20
+    driver.press(imgui.Key.escape)
+    release(driver)
+    assert editor.document.history.cursor == steps
+    use(driver, "Transform")
+    assert np.array_equal(driver.picture(), before)
+    drag_up(driver, handle, 30)
+    assert editor.document.history.undo_label == "Move the selection"
+    moved = editor.document.scene.member(WALL).gaussians.means - means
+    assert np.all(moved[upper][:, 2] > 0.5) and not moved[~upper].any()
 
 
 def test_a_face_of_the_crop_box_is_dragged_and_applied(driver):
     editor = driver.editor
-
-    def script():
-        use(driver, "Crop")
-        editor.viewport.frame_scene()
-        editor.viewport.navigation.orbit(0.5, -0.4)
-        driver.tool("Crop").box = None
-        driver.frames(3)
-        box, eye = driver.tool("Crop").box, editor.viewport.navigation.position.copy()
-        top = box.face_m(2, True)
-        driver.stroke(*(driver.on_screen(top - [0, 0, depth]) for depth in np.linspace(0, 4, 7)))
-        smaller = driver.tool("Crop").box
-        assert smaller.size_m[2] == pytest.approx(box.size_m[2] - 4, abs=0.2)
-        assert smaller.face_m(2, False) == pytest.approx(box.face_m(2, False))
-        assert np.array_equal(editor.viewport.navigation.position, eye)
-        driver.tap("**/Apply##crop")
-        wall = editor.document.scene.member(WALL)
-        assert np.all(wall.marks.deleted.flags[wall.gaussians.means[:, 2] > smaller.face_m(2, True)[2]])
-        assert editor.document.scene.member("layers/sky").marks.deleted is None
-
-    driver.run(script)
+    use(driver, "Crop")
+    editor.viewport.frame_scene()
+    editor.viewport.navigation.orbit(0.5, -0.4)
+    driver.tool("Crop").box = None
+    driver.frames(3)
+    box, eye = driver.tool("Crop").box, editor.viewport.navigation.position.copy()
+    top = box.face_m(2, True)
+    driver.stroke(*(driver.on_screen(top - [0, 0, depth]) for depth in np.linspace(0, 4, 7)))
+    smaller = driver.tool("Crop").box
+    assert smaller.size_m[2] == pytest.approx(box.size_m[2] - 4, abs=0.2)
+    assert smaller.face_m(2, False) == pytest.approx(box.face_m(2, False))
+    assert np.array_equal(editor.viewport.navigation.position, eye)
+    driver.tap("**/Apply##crop")
+    wall = editor.document.scene.member(WALL)
+    assert np.all(wall.marks.deleted.flags[wall.gaussians.means[:, 2] > smaller.face_m(2, True)[2]])
+    assert editor.document.scene.member("layers/sky").marks.deleted is None

@@ -81,75 +81,69 @@ def test_a_folder_is_listed_and_what_is_wrong_with_one_is_a_sentence(folder, tmp
 
 
 def test_files_are_chosen_by_keys_and_mouse(driver, folder):
-    def script():
-        # Type-ahead, Enter
-        answers = opened(driver, folder)
-        driver.ctx.key_chars("br")
-        driver.frames(3)
-        driver.press(imgui.Key.enter)
-        assert answers == [folder / "bread.spz"]
-        # Arrows: two folders come first, then the files of the type
-        answers = opened(driver, folder)
-        for _ in range(3):
-            driver.press(imgui.Key.down_arrow)
-        driver.press(imgui.Key.enter)
-        assert answers == [folder / "apple.ply"]
-        # A double click on a row, with its icon
-        answers = opened(driver, folder)
-        driver.double_click(f"//Choose/**/{icons_fontawesome_6.ICON_FA_FILE} apple.ply##2")
-        assert answers == [folder / "apple.ply"]
-        # A folder is entered, and the folder above by Alt+Up
-        answers = opened(driver, folder)
-        driver.ctx.key_chars("more")
-        driver.press(imgui.Key.enter)
-        driver.frames(4)
+    # Type-ahead, Enter
+    answers = opened(driver, folder)
+    driver.ctx.key_chars("br")
+    driver.frames(3)
+    driver.press(imgui.Key.enter)
+    assert answers == [folder / "bread.spz"]
+    # Arrows: two folders come first, then the files of the type
+    answers = opened(driver, folder)
+    for _ in range(3):
         driver.press(imgui.Key.down_arrow)
-        driver.press(imgui.Key.enter)
-        assert answers == [folder / "more" / "cherry.ply"]
-        # A name that is not there is an error, Escape cancels
-        answers = opened(driver, folder)
-        driver.ctx.key_chars("zebra.ply")
-        driver.press(imgui.Key.enter)
-        assert driver.is_open("Choose") and not answers
-        driver.press(imgui.Key.escape)
-        driver.frames(3)
-        assert not driver.is_open("Choose") and not answers
-        # A scene folder is an answer where scenes are, else a folder
-        answers = opened(driver, folder, takes_scenes=True)
-        driver.ctx.key_chars("street")
-        driver.press(imgui.Key.enter)
-        assert answers == [folder / "street"]
-        answers = opened(driver, folder / "more", kinds="")
-        driver.tap("//Choose/Choose")
-        assert answers == [folder / "more"]
-
-    driver.run(script)
+    driver.press(imgui.Key.enter)
+    assert answers == [folder / "apple.ply"]
+    # A double click on a row, with its icon
+    answers = opened(driver, folder)
+    driver.double_click(f"//Choose/**/{icons_fontawesome_6.ICON_FA_FILE} apple.ply##2")
+    assert answers == [folder / "apple.ply"]
+    # A folder is entered, and the folder above by Alt+Up
+    answers = opened(driver, folder)
+    driver.ctx.key_chars("more")
+    driver.press(imgui.Key.enter)
+    driver.frames(4)
+    driver.press(imgui.Key.down_arrow)
+    driver.press(imgui.Key.enter)
+    assert answers == [folder / "more" / "cherry.ply"]
+    # A name that is not there is an error, Escape cancels
+    answers = opened(driver, folder)
+    driver.ctx.key_chars("zebra.ply")
+    driver.press(imgui.Key.enter)
+    assert driver.is_open("Choose") and not answers
+    driver.press(imgui.Key.escape)
+    driver.frames(3)
+    assert not driver.is_open("Choose") and not answers
+    # A scene folder is an answer where scenes are, else a folder
+    answers = opened(driver, folder, takes_scenes=True)
+    driver.ctx.key_chars("street")
+    driver.press(imgui.Key.enter)
+    assert answers == [folder / "street"]
+    answers = opened(driver, folder / "more", kinds="")
+    driver.tap("//Choose/Choose")
+    assert answers == [folder / "more"]
 
 
 def test_a_name_is_proposed_and_a_file_is_replaced_only_on_purpose(driver, folder):
     (folder / "clip.mp4").write_text("mine")
 
-    def script():
-        answers = []
-        ask_where_to_save("Save it", "MP4{.mp4}", answers.extend, proposed="clip.mp4")
-        driver.frames(3)
-        driver.ctx.item_click("//Save it/##folder")
-        driver.ctx.key_chars_replace_enter(str(folder))
-        driver.frames(4)
-        driver.tap("//Save it/Save")
-        assert driver.is_open("Save it") and not answers
-        driver.ctx.item_click("//Save it/##name")
-        driver.ctx.key_chars_replace("other")
-        driver.tap("//Save it/Save")
-        assert answers == [folder / "other.mp4"]
-        answers.clear()
-        ask_where_to_save("Save it", "MP4{.mp4}", answers.extend, proposed="clip.mp4")
-        driver.frames(4)
-        driver.tap("//Save it/Save")
-        driver.tap("//Save it/Replace")
-        assert answers == [folder / "clip.mp4"]
-
-    driver.run(script)
+    answers = []
+    ask_where_to_save("Save it", "MP4{.mp4}", answers.extend, proposed="clip.mp4")
+    driver.frames(3)
+    driver.ctx.item_click("//Save it/##folder")
+    driver.ctx.key_chars_replace_enter(str(folder))
+    driver.frames(4)
+    driver.tap("//Save it/Save")
+    assert driver.is_open("Save it") and not answers
+    driver.ctx.item_click("//Save it/##name")
+    driver.ctx.key_chars_replace("other")
+    driver.tap("//Save it/Save")
+    assert answers == [folder / "other.mp4"]
+    answers.clear()
+    ask_where_to_save("Save it", "MP4{.mp4}", answers.extend, proposed="clip.mp4")
+    driver.frames(4)
+    driver.tap("//Save it/Save")
+    driver.tap("//Save it/Replace")
+    assert answers == [folder / "clip.mp4"]
 
 
 def test_the_desktops_dialog_is_used_where_it_has_one(driver, folder, tmp_path, monkeypatch):
@@ -159,13 +153,10 @@ def test_the_desktops_dialog_is_used_where_it_has_one(driver, folder, tmp_path, 
     program.chmod(0o755)
     monkeypatch.setenv("PATH", f"{tmp_path / 'bin'}{os.pathsep}{os.environ['PATH']}")
 
-    def script():
-        driver.editor.preferences.value = replace(driver.editor.preferences.value, desktop_dialogs=True)
-        answers = []
-        ask_where_to_save("Save it", "MP4{.mp4}", answers.extend, proposed="street.mp4")
-        driver.until(lambda: answers)
-        assert answers == [folder / "clip.mp4"]
-        arguments = (tmp_path / "arguments").read_text()
-        assert "--save" in arguments and "street.mp4" in arguments and "*.mp4" in arguments
-
-    driver.run(script)
+    driver.editor.preferences.value = replace(driver.editor.preferences.value, desktop_dialogs=True)
+    answers = []
+    ask_where_to_save("Save it", "MP4{.mp4}", answers.extend, proposed="street.mp4")
+    driver.until(lambda: answers)
+    assert answers == [folder / "clip.mp4"]
+    arguments = (tmp_path / "arguments").read_text()
+    assert "--save" in arguments and "street.mp4" in arguments and "*.mp4" in arguments

@@ -28,68 +28,68 @@ def key(driver, *keys):
     driver.press(chord(*keys))
 
 
-def test_leaving_with_changes_asks_and_nothing_else_goes_on_meanwhile(driver):
+def test_leaving_with_changes_asks_and_nothing_else_goes_on_meanwhile(unopened):
     screens = []
 
     def script():
-        editor = driver.editor
-        driver.click("//Rain/8.5")
-        key(driver, CTRL, imgui.Key.q)
-        driver.frames(3)
-        assert driver.ctx.item_exists("//Unsaved changes/Don't save")
-        driver.press(chord(CTRL, imgui.Key.z))  # keys do nothing while something is asked
+        editor = unopened.editor
+        unopened.click("//Rain/8.5")
+        key(unopened, CTRL, imgui.Key.q)
+        unopened.frames(3)
+        assert unopened.ctx.item_exists("//Unsaved changes/Don't save")
+        unopened.press(chord(CTRL, imgui.Key.z))  # keys do nothing while something is asked
         assert editor.document.rain.intensity_mm_h == 8.5
-        screens.append(driver.screen())
-        driver.press(imgui.Key.escape)
+        screens.append(unopened.screen())
+        unopened.press(imgui.Key.escape)
         assert editor.status.question is None and not editor.should_quit
-        driver.frames(3)
-        screens.append(driver.screen())
-        driver.window.ask_to_close()  # the cross of the window
-        driver.frames(3)
-        driver.tap("//Unsaved changes/Cancel")
+        unopened.frames(3)
+        screens.append(unopened.screen())
+        unopened.window.ask_to_close()  # the cross of the window
+        unopened.frames(3)
+        unopened.tap("//Unsaved changes/Cancel")
         assert editor.status.question is None and not editor.should_quit
-        driver.press(chord(CTRL, imgui.Key.z))
+        unopened.press(chord(CTRL, imgui.Key.z))
         assert not editor.files.has_changes
-        driver.window.ask_to_close()
-        driver.frames(1000)  # the window is gone long before
+        unopened.window.ask_to_close()
+        unopened.frames(1000)  # the window is gone long before
 
     with pytest.raises(RuntimeError, match="the app exited before the test finished"):
-        driver.run(script)
-    assert driver.editor.should_quit
+        unopened.run(script)
+    assert unopened.editor.should_quit
     asked, not_asked = screens
     assert np.abs(asked - not_asked).mean() > 5
 
 
-def test_the_cross_of_the_window_asks_about_a_job_and_waits_for_it(driver):
+def test_the_cross_of_the_window_asks_about_a_job_and_waits_for_it(unopened):
     job = HeldJob()
-    job.start(driver.editor)
+    job.start(unopened.editor)
 
     def script():
-        editor = driver.editor
-        driver.window.ask_to_close()
-        driver.frames(3)
-        driver.tap("//Work goes on/Cancel")
+        editor = unopened.editor
+        unopened.window.ask_to_close()
+        unopened.frames(3)
+        unopened.tap("//Work goes on/Cancel")
         assert job.state == "running" and editor.status.question is None
-        driver.window.ask_to_close()
-        driver.frames(3)
-        driver.tap("//Work goes on/Wait")
-        driver.press(imgui.Key.enter)  # stops nothing
-        assert job.state == "running" and driver.ctx.item_exists("//Waiting/Stop it")
+        unopened.window.ask_to_close()
+        unopened.frames(3)
+        unopened.tap("//Work goes on/Wait")
+        unopened.press(imgui.Key.enter)  # stops nothing
+        assert job.state == "running" and unopened.ctx.item_exists("//Waiting/Stop it")
         road = editor.document.scene.layers[0]
         job.let_end(
             editor.document.scene.with_member(road.key, gaussians=road.gaussians.with_sh(road.gaussians.sh + 1))
         )
-        driver.until(
+        unopened.until(
             lambda: editor.document.history.undo_label == "Make it rainy" and editor.status.question is not None
         )
-        driver.frames(3)
+        unopened.frames(3)
         assert not editor.should_quit
-        driver.ctx.item_click("//Unsaved changes/Don't save")
-        driver.frames(1000)  # the window is gone long before
+        unopened.ctx.item_click("//Unsaved changes/Don't save")
+        unopened.frames(1000)  # the window is gone long before
 
     with pytest.raises(RuntimeError, match="the app exited before the test finished"):
-        driver.run(script)
-    assert driver.editor.should_quit and job.state == "finished"
+        unopened.run(script)
+    assert unopened.editor.should_quit and job.state == "finished"
 
 
 def test_what_was_kept_is_recovered_and_a_change_on_the_disk_is_asked_about(tmp_path):

@@ -17,67 +17,61 @@ def test_a_file_of_gaussians_becomes_a_rainy_scene_in_four_actions(driver, tmp_p
     file = tmp_path / "own.ply"
     write_scene(with_fields(small_scene(), ego=None, rigs={}), file)
 
-    def script():
-        editor = driver.editor
-        editor.files.close_scene()
-        driver.until(lambda: not editor.document.scene.members and editor.busy is None)
+    editor = driver.editor
+    editor.files.close_scene()
+    driver.until(lambda: not editor.document.scene.members and editor.busy is None)
+    driver.frames(3)
+    with driver.journey(4):
+        driver.tap("//**/###Open...")
+        driver.choose_file("Open a scene", file)
+        driver.until(lambda: editor.document.scene.members and editor.busy is None)
         driver.frames(3)
-        with driver.journey(4):
-            driver.tap("//**/###Open...")
-            driver.choose_file("Open a scene", file)
-            driver.until(lambda: editor.document.scene.members and editor.busy is None)
-            driver.frames(3)
-            assert editor.scene_setup.is_open and editor.scene_setup.axis == "-y"
-            driver.tap("//**/###guess")
-            assert editor.status.problem is None
-            assert editor.document.history.labels == ["Opened", "Guess the orientation"]
-            scene = editor.document.scene
-            assert scene.ground_m is not None and np.linalg.norm(scene.up) == pytest.approx(1)
-            driver.tap("//**/###rain")
-        assert editor.document.rain.intensity_mm_h == 5.0 and not editor.scene_setup.is_open
+        assert editor.scene_setup.is_open and editor.scene_setup.axis == "-y"
+        driver.tap("//**/###guess")
+        assert editor.status.problem is None
+        assert editor.document.history.labels == ["Opened", "Guess the orientation"]
+        scene = editor.document.scene
+        assert scene.ground_m is not None and np.linalg.norm(scene.up) == pytest.approx(1)
+        driver.tap("//**/###rain")
+    assert editor.document.rain.intensity_mm_h == 5.0 and not editor.scene_setup.is_open
 
-        # What was guessed is corrected: another axis, a known length.
-        editor.scene_setup.is_open = True
-        editor.scene_setup.turn("z")
-        assert (editor.scene_setup.axis, editor.document.scene.ground_m) == ("z", None)
-        driver.frames(3)
-        driver.tap("//**/###measure")
-        assert editor.viewport.options.tool == "Measure"
-        driver.tap("//**/###close set-up")
-        assert not editor.scene_setup.is_open
-
-    driver.run(script)
+    # What was guessed is corrected: another axis, a known length.
+    editor.scene_setup.is_open = True
+    editor.scene_setup.turn("z")
+    assert (editor.scene_setup.axis, editor.document.scene.ground_m) == ("z", None)
+    driver.frames(3)
+    driver.tap("//**/###measure")
+    assert editor.viewport.options.tool == "Measure"
+    driver.tap("//**/###close set-up")
+    assert not editor.scene_setup.is_open
 
 
 def test_the_hint_of_three_steps_ends_for_good(driver, tmp_path):
-    def script():
-        editor = driver.editor
-        editor.preferences.value = replace(editor.preferences.value, hint=True)
-        driver.frames(3)
-        driver.tap("//**/###step 2")
-        assert editor.document.rain.intensity_mm_h == 5.0 and editor.preferences.value.hint
-        editor.files.source = str(tmp_path / "own.ply")
-        editor.render_queue.change(size_px=(64, 48), last_s=0.1)
-        editor.render_queue.record_to(tmp_path / "clip.mp4")
-        driver.until(lambda: not editor.preferences.value.hint)
-        driver.until(lambda: not load_preferences()[0].hint)
-        editor.preferences.set(hint=True)
-        editor.jobs.close()
-        editor.jobs.clear()
-        driver.frames(3)
-        driver.tap("//**/###end hint")
-        driver.until(lambda: not load_preferences()[0].hint)
+    editor = driver.editor
+    editor.preferences.value = replace(editor.preferences.value, hint=True)
+    driver.frames(3)
+    driver.tap("//**/###step 2")
+    assert editor.document.rain.intensity_mm_h == 5.0 and editor.preferences.value.hint
+    editor.files.source = str(tmp_path / "own.ply")
+    editor.render_queue.change(size_px=(64, 48), last_s=0.1)
+    editor.render_queue.record_to(tmp_path / "clip.mp4")
+    driver.until(lambda: not editor.preferences.value.hint)
+    driver.until(lambda: not load_preferences()[0].hint)
+    editor.preferences.set(hint=True)
+    editor.jobs.close()
+    editor.jobs.clear()
+    driver.frames(3)
+    driver.tap("//**/###end hint")
+    driver.until(lambda: not load_preferences()[0].hint)
 
-        # After an update, what is new is offered in its place, once.
-        editor.preferences.set(known_version="0.0.1")
-        driver.frames(3)
-        driver.tap("//**/###read news")
-        assert driver.is_open("What's new")
-        driver.tap("//What's new/###close news")
-        driver.until(lambda: load_preferences()[0].known_version == version("gsrain"))
-        assert not driver.is_open("What's new") and not driver.ctx.item_exists("//**/###read news")
-
-    driver.run(script)
+    # After an update, what is new is offered in its place, once.
+    editor.preferences.set(known_version="0.0.1")
+    driver.frames(3)
+    driver.tap("//**/###read news")
+    assert driver.is_open("What's new")
+    driver.tap("//What's new/###close news")
+    driver.until(lambda: load_preferences()[0].known_version == version("gsrain"))
+    assert not driver.is_open("What's new") and not driver.ctx.item_exists("//**/###read news")
 
 
 def test_the_news_are_the_short_group_of_the_newest_changes():

@@ -6,23 +6,20 @@ import numpy as np
 def test_glass_is_chosen_and_drawn_in_the_viewport(driver):
     editor = driver.editor
 
-    def script():
-        document = editor.document
-        document.change_rain("Wet before", glass_wet_s=5.0, streaks=False, intensity_mm_h=12.0)
-        open_air = driver.picture()
-        driver.click("//Rain/Glass")
-        driver.ctx.set_ref("//Rain")
-        driver.ctx.scroll_to_item_y("##glass")
-        driver.ctx.combo_click("##glass/windshield")
-        assert document.rain.glass == "windshield" and document.history.undo_label == "Glass"
-        behind = driver.picture()
-        assert np.abs(behind - open_air).max() > 20
-        assert np.array_equal(driver.picture(), behind)  # drops stay while time stands still
-        editor.playback.clock.time_s = 1.0
-        assert not np.array_equal(driver.picture(), behind)
-        editor.playback.clock.time_s = 0.0
-        assert np.array_equal(driver.picture(), behind)
-        driver.ctx.combo_click("##glass/none")
-        assert np.array_equal(driver.picture(), open_air)
-
-    driver.run(script)
+    document = editor.document
+    document.change_rain("Wet before", glass_wet_s=5.0, streaks=False, intensity_mm_h=12.0)
+    open_air = driver.picture()
+    driver.click("//Rain/Glass")
+    driver.ctx.set_ref("//Rain")
+    driver.ctx.scroll_to_item_y("##glass")
+    driver.ctx.combo_click("##glass/windshield")
+    assert document.rain.glass == "windshield" and document.history.undo_label == "Glass"
+    behind = driver.picture()
+    assert np.abs(behind - open_air).max() > 20
+    assert np.array_equal(driver.picture(), behind)  # drops stay while time stands still
+    editor.playback.clock.time_s = 1.0
+    assert not np.array_equal(driver.picture(), behind)
+    editor.playback.clock.time_s = 0.0
+    assert np.array_equal(driver.picture(), behind)
+    driver.ctx.combo_click("##glass/none")
+    assert np.array_equal(driver.picture(), open_air)

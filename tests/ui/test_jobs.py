@@ -27,69 +27,66 @@ UNDO = chord(imgui.Key.mod_ctrl, imgui.Key.z)
 def test_a_view_is_previewed_then_the_scene_made_rainy_compared_and_undone(driver, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
 
-    def script():
-        editor, ctx = driver.editor, driver.ctx
-        rainy = editor.wet_look
-        rainy.preview_width_px = 96
-        rainy.choice = msgspec.structs.replace(rainy.choice, count=2, width_px=64)
-        clear, before = driver.picture(), editor.document.scene
-        with driver.journey(2):  # a view in rain
-            driver.tap(f"{driver.panel('Wet look')}###preview")
-        assert rainy.why_not is None  # the job would wait for the preview
-        driver.until(lambda: not editor.jobs.running, 1_000_000)
-        driver.frames()
-        assert editor.status.problem is None
-        assert rainy.previewed.images.pictures["rainy"].shape[1] == 96
-        # It lies over what it is of, right of the line, and only while the view is that one.
-        assert (editor.viewport.options.split, rainy.fits) == ("now | preview", True)
-        assert ctx.item_exists("//View/divider")
-        driver.stroke(driver.at(0.75, 0.5), driver.at(0.75, 0.5) + [60, 0])  # right of the line
-        assert rainy.what_is_stale == "The view has changed since."
-        assert not ctx.item_exists("//View/divider")
-        driver.click(f"{PANEL}Return to it")
-        assert rainy.what_is_stale is None
-        ctx.item_input_value(f"{PANEL}##seed", 3)
-        driver.frames()
-        assert rainy.what_is_stale == "The settings have changed since."
+    editor, ctx = driver.editor, driver.ctx
+    rainy = editor.wet_look
+    rainy.preview_width_px = 96
+    rainy.choice = msgspec.structs.replace(rainy.choice, count=2, width_px=64)
+    clear, before = driver.picture(), editor.document.scene
+    with driver.journey(2):  # a view in rain
+        driver.tap(f"{driver.panel('Wet look')}###preview")
+    assert rainy.why_not is None  # the job would wait for the preview
+    driver.until_worked(lambda: not editor.jobs.running)
+    driver.frames()
+    assert editor.status.problem is None
+    assert rainy.previewed.images.pictures["rainy"].shape[1] == 96
+    # It lies over what it is of, right of the line, and only while the view is that one.
+    assert (editor.viewport.options.split, rainy.fits) == ("now | preview", True)
+    assert ctx.item_exists("//View/divider")
+    driver.stroke(driver.at(0.75, 0.5), driver.at(0.75, 0.5) + [60, 0])  # right of the line
+    assert rainy.what_is_stale == "The view has changed since."
+    assert not ctx.item_exists("//View/divider")
+    driver.click(f"{PANEL}Return to it")
+    assert rainy.what_is_stale is None
+    ctx.item_input_value(f"{PANEL}##seed", 3)
+    driver.frames()
+    assert rainy.what_is_stale == "The settings have changed since."
 
-        driver.click(f"{PANEL}###make")
-        driver.until(lambda: editor.jobs.all[0].progress.message == "Starting", 1_000_000)
-        assert ctx.item_exists(f"{PANEL}###make")  # another one would wait
-        driver.click(f"{PANEL}Cancel##0")
-        assert (editor.jobs.all[0].state, editor.document.scene) == ("cancelled", before)
-        editor.jobs.clear()
+    driver.click(f"{PANEL}###make")
+    driver.until_worked(lambda: editor.jobs.all[0].progress.message == "Starting")
+    assert ctx.item_exists(f"{PANEL}###make")  # another one would wait
+    driver.click(f"{PANEL}Cancel##0")
+    assert (editor.jobs.all[0].state, editor.document.scene) == ("cancelled", before)
+    editor.jobs.clear()
 
-        blue_sky = editor.live_rain.sky
-        driver.panel("Rain")
-        with driver.journey(2):  # a wet scene
-            driver.tap(f"{driver.panel('Wet look')}###make")
-        (job,) = editor.jobs.all
-        driver.until(lambda: job in editor.viewport.job_previews or job.state != "running", 1_000_000)
-        driver.until(lambda: job.state != "running" and editor.viewport.staged is None, 1_000_000)
-        assert (job.state, job.error) == ("finished", None)
-        assert job.report.is_file()
-        assert editor.document.history.labels == ["Opened", MAKE_RAINY_TITLE]
-        assert all(each.wet_sh is not None for each in editor.document.scene.members)
+    blue_sky = editor.live_rain.sky
+    driver.panel("Rain")
+    with driver.journey(2):  # a wet scene
+        driver.tap(f"{driver.panel('Wet look')}###make")
+    (job,) = editor.jobs.all
+    driver.until_worked(lambda: job in editor.viewport.job_previews or job.state != "running")
+    driver.until_worked(lambda: job.state != "running" and editor.viewport.staged is None)
+    assert (job.state, job.error) == ("finished", None)
+    assert job.report.is_file()
+    assert editor.document.history.labels == ["Opened", MAKE_RAINY_TITLE]
+    assert all(each.wet_sh is not None for each in editor.document.scene.members)
 
-        # Beside the clear scene, once it rains: without rain there is nothing to compare, and none is added.
-        driver.click(f"{PANEL}###compare")
-        assert editor.viewport.options.split != "clear | rainy" and editor.document.rain.intensity_mm_h == 0
-        editor.document.change_rain("Intensity", intensity_mm_h=8.5)
-        with driver.journey(1):
-            driver.tap(f"{PANEL}###compare")
-        assert editor.viewport.options.split == "clear | rainy"
-        compared = driver.picture()
-        middle = compared.shape[1] // 2
-        assert np.array_equal(compared[:, : middle - 1], clear[:, : middle - 1])
-        assert np.abs(compared[:, middle:] - clear[:, middle:]).mean() > 3
-        driver.until(lambda: editor.live_rain.sky != blue_sky)  # drops take the color of the wet one
-        driver.click(f"{PANEL}###compare")
-        assert editor.viewport.options.split == "off"
-        driver.press(UNDO)
-        driver.press(UNDO)
-        assert editor.document.scene is before
-
-    driver.run(script)
+    # Beside the clear scene, once it rains: without rain there is nothing to compare, and none is added.
+    driver.click(f"{PANEL}###compare")
+    assert editor.viewport.options.split != "clear | rainy" and editor.document.rain.intensity_mm_h == 0
+    editor.document.change_rain("Intensity", intensity_mm_h=8.5)
+    with driver.journey(1):
+        driver.tap(f"{PANEL}###compare")
+    assert editor.viewport.options.split == "clear | rainy"
+    compared = driver.picture()
+    middle = compared.shape[1] // 2
+    assert np.array_equal(compared[:, : middle - 1], clear[:, : middle - 1])
+    assert np.abs(compared[:, middle:] - clear[:, middle:]).mean() > 3
+    driver.until(lambda: editor.live_rain.sky != blue_sky)  # drops take the color of the wet one
+    driver.click(f"{PANEL}###compare")
+    assert editor.viewport.options.split == "off"
+    driver.press(UNDO)
+    driver.press(UNDO)
+    assert editor.document.scene is before
 
 
 REDO = chord(imgui.Key.mod_ctrl, imgui.Key.y)
@@ -134,40 +131,37 @@ def test_the_input_of_a_network_appears_with_the_preview_and_the_job(driver, tmp
     save_weights(trained_model(normals=True), data / "transfer" / "mine.safetensors", record)
     words = "The network saw 64x64 px (stretch), normals from depth as luma."
 
-    def script():
-        editor, rainy = driver.editor, driver.editor.wet_look
-        rainy.method, rainy.preview_width_px = "cyclegan-turbo", 96
-        rainy.choice = msgspec.structs.replace(rainy.choice, count=1, width_px=96)
-        assert rainy.training == f"mine.safetensors: trained with {record.words}."
-        driver.click(f"{PANEL}More settings")
-        for chosen in ("up", "as trained"):  # the settings that may follow the training can be set, and unset again
-            driver.ctx.set_ref(f"{PANEL}More settings")
-            driver.ctx.combo_click(f"##guide/{chosen}")
-            driver.frames()
-            assert rainy.settings.guide == (None if chosen == "as trained" else chosen)
-        driver.ctx.set_ref("")
-        driver.click(f"{PANEL}More settings")
-        driver.click(f"{PANEL}###preview")
-        driver.until(lambda: not editor.jobs.running, 1_000_000)
+    editor, rainy = driver.editor, driver.editor.wet_look
+    rainy.method, rainy.preview_width_px = "cyclegan-turbo", 96
+    rainy.choice = msgspec.structs.replace(rainy.choice, count=1, width_px=96)
+    assert rainy.training == f"mine.safetensors: trained with {record.words}."
+    driver.click(f"{PANEL}More settings")
+    for chosen in ("up", "as trained"):  # the settings that may follow the training can be set, and unset again
+        driver.ctx.set_ref(f"{PANEL}More settings")
+        driver.ctx.combo_click(f"##guide/{chosen}")
         driver.frames()
-        assert editor.status.problem is None
-        images = rainy.previewed.images
-        assert images.note == words
-        assert list(images.pictures) == list(rainy.textures) == ["clear", "framed", "guide", "rainy"]
-        height, width = images.pictures["clear"].shape[:2]
-        assert width == 96 and height < width
-        sizes = [(each.width, each.height) for each in rainy.textures.values()]
-        assert sizes == [(width, height), (64, 64), (64, 64), (width, height)]
-        with_pictures, previewed = driver.screen(), rainy.previewed
-        rainy.previewed = None
-        corner, size = driver.area()
-        differing = np.argwhere((driver.screen() != with_pictures).any(axis=2))  # rows, columns
-        rainy.previewed = previewed
-        beside = (differing[:, 1] < corner[0]) | (differing[:, 1] > corner[0] + size[0])
-        assert np.ptp(differing[beside], axis=0).min() > 40  # the pictures in the panel
-
-    driver.run(script)
-    rainy, (scene, report) = driver.editor.wet_look, (tmp_path / "scene", tmp_path / "report.html")
+        assert rainy.settings.guide == (None if chosen == "as trained" else chosen)
+    driver.ctx.set_ref("")
+    driver.click(f"{PANEL}More settings")
+    driver.click(f"{PANEL}###preview")
+    driver.until_worked(lambda: not editor.jobs.running)
+    driver.frames()
+    assert editor.status.problem is None
+    images = rainy.previewed.images
+    assert images.note == words
+    assert list(images.pictures) == list(rainy.textures) == ["clear", "framed", "guide", "rainy"]
+    height, width = images.pictures["clear"].shape[:2]
+    assert width == 96 and height < width
+    sizes = [(each.width, each.height) for each in rainy.textures.values()]
+    assert sizes == [(width, height), (64, 64), (64, 64), (width, height)]
+    with_pictures, previewed = driver.screen(), rainy.previewed
+    rainy.previewed = None
+    corner, size = driver.area()
+    differing = np.argwhere((driver.screen() != with_pictures).any(axis=2))  # rows, columns
+    rainy.previewed = previewed
+    beside = (differing[:, 1] < corner[0]) | (differing[:, 1] > corner[0] + size[0])
+    assert np.ptp(differing[beside], axis=0).min() > 40  # the pictures in the panel
+    scene, report = tmp_path / "scene", tmp_path / "report.html"
     write_scene_folder(small_scene(), scene)
     order = make_rainy_job.TransferRequest(rainy.method, rainy.settings, rainy.choice)
     steps = list(make_rainy_job.make_rainy(scene, order, tmp_path / "colors.npz", report))  # what its worker runs
@@ -184,55 +178,52 @@ def test_a_capture_becomes_a_scene_that_takes_on_the_look_of_pictures(drive, dri
     def ended(job):
         return job.state != "running" and editor.viewport.staged is None
 
-    def script():
-        before = editor.document.scene
-        editor.captures.open(drive / "drive")
-        driver.until(lambda: editor.captures.capture is not None)
-        driver.frames(3)
-        with driver.journey(2):  # a scene from an open capture
-            driver.tap(f"{driver.panel('Capture')}Reconstruct")
-            driver.tap("//Capture/Reconstruct/Reconstruct")
-        (job,) = editor.jobs.all
-        # Where it was started there is how far it is, and what is started next waits.
-        assert driver.ctx.item_exists("//Capture/Reconstruct/Cancel##0")
-        assert driver.ctx.item_exists("//Capture/Reconstruct/Reconstruct")
-        driver.until(lambda: ended(job), 1_000_000)
-        assert (job.state, job.error) == ("finished", None)
-        assert editor.document.history.labels == ["Opened", "Reconstruct drive"]
-        assert {layer.kind for layer in editor.document.scene.layers} == {"background", "sky"}
-        assert job.report.is_file()
+    before = editor.document.scene
+    editor.captures.open(drive / "drive")
+    driver.until(lambda: editor.captures.capture is not None)
+    driver.frames(3)
+    with driver.journey(2):  # a scene from an open capture
+        driver.tap(f"{driver.panel('Capture')}Reconstruct")
+        driver.tap("//Capture/Reconstruct/Reconstruct")
+    (job,) = editor.jobs.all
+    # Where it was started there is how far it is, and what is started next waits.
+    assert driver.ctx.item_exists("//Capture/Reconstruct/Cancel##0")
+    assert driver.ctx.item_exists("//Capture/Reconstruct/Reconstruct")
+    driver.until_worked(lambda: ended(job))
+    assert (job.state, job.error) == ("finished", None)
+    assert editor.document.history.labels == ["Opened", "Reconstruct drive"]
+    assert {layer.kind for layer in editor.document.scene.layers} == {"background", "sky"}
+    assert job.report.is_file()
 
-        # The picture from a recorded camera is like the photograph, and undo brings the earlier scene back.
-        captures = editor.captures
-        captures.show_picture = captures.show_points = captures.show_frustums = False
-        captures.look_from(2)
-        trained = driver.picture()
-        height, width = trained.shape[:2]
-        road = trained[3 * height // 4 :, width // 3 : 2 * width // 3].mean(axis=(0, 1))
-        assert np.abs(road - captures.view.image[48:, 32:64].mean(axis=(0, 1))).max() < 25
-        driver.press(UNDO)
-        assert editor.document.scene is before
-        driver.press(REDO)
-        assert editor.document.scene is not before
+    # The picture from a recorded camera is like the photograph, and undo brings the earlier scene back.
+    captures = editor.captures
+    captures.show_picture = captures.show_points = captures.show_frustums = False
+    captures.look_from(2)
+    trained = driver.picture()
+    height, width = trained.shape[:2]
+    road = trained[3 * height // 4 :, width // 3 : 2 * width // 3].mean(axis=(0, 1))
+    assert np.abs(road - captures.view.image[48:, 32:64].mean(axis=(0, 1))).max() < 25
+    driver.press(UNDO)
+    assert editor.document.scene is before
+    driver.press(REDO)
+    assert editor.document.scene is not before
 
-        # Dim pictures of the same views give it wet colors, which come with the rain.
-        driver.click("//Rain/Streaks")
-        editor.document.change_rain("Haze", haze="none")
-        editor.training.recolor(drive / "dim")
-        driver.until(lambda: ended(editor.jobs.all[-1]), 1_000_000)
-        assert (editor.jobs.all[-1].state, editor.jobs.all[-1].error) == ("finished", None)
-        assert np.array_equal(driver.picture(), trained)  # it does not rain
-        driver.type_in("//Rain/##intensity_mm_h", 12.0)
-        wet = driver.picture()
-        assert 0.35 < wet.mean() / trained.mean() < 0.65
-        driver.press(UNDO)
-        driver.press(UNDO)
-        assert all(member.wet_sh is None for member in editor.document.scene.members)
-        driver.press(REDO)
-        driver.press(REDO)
-        assert np.array_equal(driver.picture(), wet)
-
-    driver.run(script)
+    # Dim pictures of the same views give it wet colors, which come with the rain.
+    driver.click("//Rain/Streaks")
+    editor.document.change_rain("Haze", haze="none")
+    editor.training.recolor(drive / "dim")
+    driver.until_worked(lambda: ended(editor.jobs.all[-1]))
+    assert (editor.jobs.all[-1].state, editor.jobs.all[-1].error) == ("finished", None)
+    assert np.array_equal(driver.picture(), trained)  # it does not rain
+    driver.type_in("//Rain/##intensity_mm_h", 12.0)
+    wet = driver.picture()
+    assert 0.35 < wet.mean() / trained.mean() < 0.65
+    driver.press(UNDO)
+    driver.press(UNDO)
+    assert all(member.wet_sh is None for member in editor.document.scene.members)
+    driver.press(REDO)
+    driver.press(REDO)
+    assert np.array_equal(driver.picture(), wet)
 
 
 def test_a_clip_is_recorded_while_the_window_goes_on(driver, tmp_path, monkeypatch):
@@ -243,68 +234,65 @@ def test_a_clip_is_recorded_while_the_window_goes_on(driver, tmp_path, monkeypat
     opener.chmod(0o755)
     monkeypatch.setenv("PATH", f"{opener.parent}{os.pathsep}{os.environ['PATH']}")
 
-    def script():
-        editor = driver.editor
-        driver.click("//Rain/8.5")
-        editor.render_queue.change(size_px=(480, 320), fps=4.0)
-        timeline = driver.panel("Timeline")
-        driver.ctx.window_focus("//View")
-        with driver.journey(6):  # a flight of 10 s as a video
-            driver.press(imgui.Key.k)
-            driver.type_in(f"{timeline}**/##time", 10.0)
-            driver.stroke(driver.at(0.5, 0.4), driver.at(0.54, 0.4), driver.at(0.56, 0.42), button=1)
-            driver.press(imgui.Key.k)
-            driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.r))
-            driver.choose_file("Record timeline", target)
-        driver.until(lambda: len(editor.jobs.all) == 1)
-        job = editor.jobs.all[0]
-        driver.ctx.window_focus("//Jobs")
-        driver.until(lambda: job in editor.viewport.job_previews or job.state != "running", 100_000)
-        assert editor.viewport.job_previews[job][1:] == (240, 160)  # every second pixel
-        driver.click("//Rain/12.0")  # the recording has the document as it was
-        assert editor.document.rain.intensity_mm_h == 12.0
-        driver.until(lambda: job.state != "running", 100_000)
-        assert (job.state, job.error) == ("finished", None)
-        driver.frames(2)
-        driver.tap("//**/###open output")
-        driver.tap("//**/###show output")
-        driver.tap("//**/###dismiss")
-        driver.until(lambda: opened.exists() and len(opened.read_text().splitlines()) == 2)
-        assert set(opened.read_text().splitlines()) == {str(target), str(target.parent)} and job.is_noticed
-        assert editor.viewport.job_previews == {}
-        driver.ctx.window_focus("//View")
+    editor = driver.editor
+    driver.click("//Rain/8.5")
+    editor.render_queue.change(size_px=(480, 320), fps=4.0)
+    timeline = driver.panel("Timeline")
+    driver.ctx.window_focus("//View")
+    with driver.journey(6):  # a flight of 10 s as a video
+        driver.press(imgui.Key.k)
+        driver.type_in(f"{timeline}**/##time", 10.0)
+        driver.stroke(driver.at(0.5, 0.4), driver.at(0.54, 0.4), driver.at(0.56, 0.42), button=1)
+        driver.press(imgui.Key.k)
         driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.r))
         driver.choose_file("Record timeline", target)
-        assert editor.status.question.text == "clip.mp4 is there already."
-        driver.tap("//Replace?/Cancel")
-        assert (editor.status.question, len(editor.jobs.all)) == (None, 1)
-        driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.r))
-        driver.choose_file("Record timeline", tmp_path / "other.mp4")
-        driver.until(lambda: len(editor.jobs.running) == 1)
-        driver.frames(3)
+    driver.until(lambda: len(editor.jobs.all) == 1)
+    job = editor.jobs.all[0]
+    driver.ctx.window_focus("//Jobs")
+    driver.until_worked(lambda: job in editor.viewport.job_previews or job.state != "running")
+    assert editor.viewport.job_previews[job][1:] == (240, 160)  # every second pixel
+    driver.click("//Rain/12.0")  # the recording has the document as it was
+    assert editor.document.rain.intensity_mm_h == 12.0
+    driver.until_worked(lambda: job.state != "running")
+    assert (job.state, job.error) == ("finished", None)
+    driver.frames(2)
+    driver.tap("//**/###open output")
+    driver.tap("//**/###show output")
+    driver.tap("//**/###dismiss")
+    driver.until(lambda: opened.exists() and len(opened.read_text().splitlines()) == 2)
+    assert set(opened.read_text().splitlines()) == {str(target), str(target.parent)} and job.is_noticed
+    assert editor.viewport.job_previews == {}
+    driver.ctx.window_focus("//View")
+    driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.r))
+    driver.choose_file("Record timeline", target)
+    assert editor.status.question.text == "clip.mp4 is there already."
+    driver.tap("//Replace?/Cancel")
+    assert (editor.status.question, len(editor.jobs.all)) == (None, 1)
+    driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.r))
+    driver.choose_file("Record timeline", tmp_path / "other.mp4")
+    driver.until(lambda: len(editor.jobs.running) == 1)
+    driver.frames(3)
 
-        # Others wait: in the same place they are refused, else they run next, or not at all.
-        editor.render_queue.record_to(tmp_path / "other.mp4")
-        assert "is being recorded already" in editor.status.problem
-        editor.status.dismiss()
-        for name in ("third.mp4", "fourth.mp4"):
-            editor.render_queue.record_to(tmp_path / name)
-        other, third, fourth = editor.jobs.all[1:]
-        assert editor.jobs.waiting == [third, fourth]
-        driver.tap("//**/###list jobs")
-        driver.tap("//**/Run next##3")
-        assert editor.jobs.waiting == [fourth, third]
-        driver.tap("//**/Cancel##2")
-        assert (third.state, editor.jobs.waiting) == ("cancelled", [fourth])
-        driver.press(imgui.Key.escape)
-        place = driver.area("//**/###cancel job")[0]
-        driver.tap("//**/###cancel job")  # of the status bar
-        driver.until(lambda: fourth.state == "running")
-        assert other.state == "cancelled" and np.array_equal(driver.area("//**/###cancel job")[0], place)
-        driver.tap("//**/###cancel job")
-        assert (fourth.state, editor.jobs.pending) == ("cancelled", [])
-
-    driver.run(script)
+    # Others wait: in the same place they are refused, else they run next, or not at all.
+    editor.render_queue.record_to(tmp_path / "other.mp4")
+    assert "is being recorded already" in editor.status.problem
+    editor.status.dismiss()
+    for name in ("third.mp4", "fourth.mp4"):
+        editor.render_queue.record_to(tmp_path / name)
+    other, third, fourth = editor.jobs.all[1:]
+    assert editor.jobs.waiting == [third, fourth]
+    driver.tap("//**/###list jobs")
+    driver.tap("//**/Run next##3")
+    assert editor.jobs.waiting == [fourth, third]
+    driver.tap("//**/Cancel##2")
+    assert (third.state, editor.jobs.waiting) == ("cancelled", [fourth])
+    driver.press(imgui.Key.escape)
+    place = driver.area("//**/###cancel job")[0]
+    driver.tap("//**/###cancel job")  # of the status bar
+    driver.until(lambda: fourth.state == "running")
+    assert other.state == "cancelled" and np.array_equal(driver.area("//**/###cancel job")[0], place)
+    driver.tap("//**/###cancel job")
+    assert (fourth.state, editor.jobs.pending) == ("cancelled", [])
     with av.open(str(target)) as container:
         assert sum(1 for _ in container.decode(video=0)) == 40
 
@@ -317,30 +305,17 @@ def test_steps_and_recordings_are_copied(driver, tmp_path):
         driver.click(button)
         return imgui.get_clipboard_text()
 
-    def script():
-        driver.editor.files.open(source)
-        driver.until(lambda: driver.editor.files.source == source)
-        driver.click("//Rain/8.5")
-        words = shlex.split(copied("//History/Copy as command"))
-        assert words[:3] == ["gsrain", "edit", source]
-        assert "intensity_mm_h=8.5" in words[3]
-        assert words[4:] == ["-o", "edited"]
-        edited = copied("//History/Copy as Python")
-        assert edited.splitlines()[2] == f"scene = gr.load({source!r})"
-        render = copied("//Record/Copy as command").partition(" && ")[2]
-        assert shlex.split(render) == [
-            "gsrain",
-            "render",
-            "edited",
-            "-o",
-            "clip.mp4",
-            "--size",
-            "960x640",
-            "--codec",
-            "h264",
-        ]
-        recorded = copied("//Record/Copy as Python").splitlines()
-        assert recorded[:-1] == edited.splitlines()[:-1]
-        assert recorded[-1] == "gr.export(scene, 'clip.mp4', size_px=(960, 640), codec='h264')"
-
-    driver.run(script)
+    driver.editor.files.open(source)
+    driver.until(lambda: driver.editor.files.source == source)
+    driver.click("//Rain/8.5")
+    words = shlex.split(copied("//History/Copy as command"))
+    assert words[:3] == ["gsrain", "edit", source]
+    assert "intensity_mm_h=8.5" in words[3]
+    assert words[4:] == ["-o", "edited"]
+    edited = copied("//History/Copy as Python")
+    assert edited.splitlines()[2] == f"scene = gr.load({source!r})"
+    render = copied("//Record/Copy as command").partition(" && ")[2]
+    assert render.split() == ["gsrain", "render", "edited", "-o", "clip.mp4", "--size", "960x640", "--codec", "h264"]
+    recorded = copied("//Record/Copy as Python").splitlines()
+    assert recorded[:-1] == edited.splitlines()[:-1]
+    assert recorded[-1] == "gr.export(scene, 'clip.mp4', size_px=(960, 640), codec='h264')"

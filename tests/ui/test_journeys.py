@@ -308,7 +308,7 @@ def begin(driver):
     editor.status.dismiss()
     editor.playback.clock.seek(0.0)
     options.tool, options.split, options.divider, options.member = "", "off", 0.5, ""
-    options.follow_path, options.shrink = False, 4  # a coarse picture: what it shows is tested elsewhere
+    options.follow_path = False
     editor.viewport.go_home()
     editor.preferences.value = replace(editor.preferences.value, theme="dark")
     driver.window.workspace.folded.open = ""

@@ -10,7 +10,7 @@ from window_driver import Driver, hello_imgui, imgui
 KEY = imgui.Key
 
 
-def test_panels_in_front_and_hidden_ones_come_back(driver, tmp_path, monkeypatch):
+def test_panels_in_front_and_hidden_ones_come_back(unopened, tmp_path, monkeypatch):
     monkeypatch.setattr("gsrain_engine.editor.preferences.config_folder", lambda: tmp_path / "config")
 
     def panels():
@@ -18,13 +18,13 @@ def test_panels_in_front_and_hidden_ones_come_back(driver, tmp_path, monkeypatch
 
     def arrange():
         for name in ("Drive", "History"):
-            driver.ctx.window_focus(f"//{name}")
-            driver.frames(3)
+            unopened.ctx.window_focus(f"//{name}")
+            unopened.frames(3)
         panels()["Jobs"].is_visible = False
-        driver.frames(3)
+        unopened.frames(3)
 
-    driver.run(arrange)
-    driver.editor.close()  # writes the preferences
+    unopened.run(arrange)
+    unopened.editor.close()  # writes the preferences
     assert load_preferences()[0].hidden_panels == ("Jobs",)
     (tmp_path / "next").mkdir()
     following = Driver(tmp_path / "next")
@@ -42,73 +42,61 @@ def test_panels_in_front_and_hidden_ones_come_back(driver, tmp_path, monkeypatch
 
 def test_a_double_click_sets_the_pivot_that_an_orbit_turns_around(driver):
     viewport = driver.editor.viewport
-    viewport.options.shrink = 3
 
-    def script():
-        place = driver.at(0.62, 0.42)  # on the wall, off the line of sight
-        driver.point_at(place)
-        driver.ctx.mouse_double_click(0)
-        driver.frames(3)
-        pivot = viewport.navigation.pivot
-        assert pivot == pytest.approx([40, pivot[1], pivot[2]], abs=0.6) and pivot[1] < -2
-        assert np.abs(driver.on_screen(pivot) - place).max() < 2
-        driver.stroke(driver.at(0.5, 0.5), driver.at(0.56, 0.5), driver.at(0.6, 0.5))
-        assert np.abs(driver.on_screen(pivot) - place).max() < 2  # it stays where it was on the screen
-        driver.press(KEY.r)
-        assert viewport.navigation.pivot is None
-
-    driver.run(script)
+    place = driver.at(0.62, 0.42)  # on the wall, off the line of sight
+    driver.point_at(place)
+    driver.ctx.mouse_double_click(0)
+    driver.frames(3)
+    pivot = viewport.navigation.pivot
+    assert pivot == pytest.approx([40, pivot[1], pivot[2]], abs=0.6) and pivot[1] < -2
+    assert np.abs(driver.on_screen(pivot) - place).max() < 2
+    driver.stroke(driver.at(0.5, 0.5), driver.at(0.56, 0.5), driver.at(0.6, 0.5))
+    assert np.abs(driver.on_screen(pivot) - place).max() < 2  # it stays where it was on the screen
+    driver.press(KEY.r)
+    assert viewport.navigation.pivot is None
 
 
 def test_menus_and_lists_are_used_by_the_keyboard(driver):
     document, options = driver.editor.document, driver.editor.viewport.options
-    options.shrink = 3
-
-    def script():
-        driver.click("//Rain/##haze")  # a list
-        driver.press(KEY.g)
-        driver.press(KEY.enter)
-        driver.frames(3)
-        assert document.rain.haze == "gaussians"
-        driver.click("//Rain/##haze")
-        driver.press(KEY.down_arrow)
-        driver.press(KEY.enter)
-        driver.frames(3)
-        assert document.rain.haze == "none"
-        driver.click("//Rain/##haze")
-        driver.press(KEY.m)
-        driver.press(KEY.escape)
-        driver.frames(3)
-        assert document.rain.haze == "none"  # closed, not chosen
-        view_menu = np.array([352, 11])
-        driver.click_at(view_menu)
-        was_on = options.show_selection
-        for key in (KEY.h, KEY.i):
-            driver.press(key)
-        driver.press(KEY.enter)
-        driver.frames(3)
-        assert options.show_selection != was_on and document.history.labels == ["Opened", "Haze model", "Haze model"]
-        driver.click_at(view_menu)
-        driver.press(KEY.k)  # alone, it inserts a keyframe
-        driver.press(KEY.escape)
-        assert document.scene.path is None
-
-    driver.run(script)
+    driver.click("//Rain/##haze")  # a list
+    driver.press(KEY.g)
+    driver.press(KEY.enter)
+    driver.frames(3)
+    assert document.rain.haze == "gaussians"
+    driver.click("//Rain/##haze")
+    driver.press(KEY.down_arrow)
+    driver.press(KEY.enter)
+    driver.frames(3)
+    assert document.rain.haze == "none"
+    driver.click("//Rain/##haze")
+    driver.press(KEY.m)
+    driver.press(KEY.escape)
+    driver.frames(3)
+    assert document.rain.haze == "none"  # closed, not chosen
+    view_menu = np.array([352, 11])
+    driver.click_at(view_menu)
+    was_on = options.show_selection
+    for key in (KEY.h, KEY.i):
+        driver.press(key)
+    driver.press(KEY.enter)
+    driver.frames(3)
+    assert options.show_selection != was_on and document.history.labels == ["Opened", "Haze model", "Haze model"]
+    driver.click_at(view_menu)
+    driver.press(KEY.k)  # alone, it inserts a keyframe
+    driver.press(KEY.escape)
+    assert document.scene.path is None
 
 
 def test_alt_and_a_letter_opens_a_menu(driver):
-    def script():
-        for chord, command in ((KEY.f10, "Open..."), (int(KEY.mod_alt) | int(KEY.v), "Frame selection or scene")):
-            driver.press(chord)
-            driver.frames(3)
-            assert driver.ctx.item_exists(f"//$FOCUSED/{command}")
-            before = driver.editor.playback.clock.time_s
-            for key in (KEY.down_arrow, KEY.right_arrow, KEY.escape, KEY.escape):
-                driver.press(key)
-            assert driver.editor.playback.clock.time_s == before  # the arrows move in the menu
-            assert not driver.ctx.item_exists(f"//$FOCUSED/{command}")
-
-    driver.run(script)
+    for chord, command in ((KEY.f10, "Open..."), (int(KEY.mod_alt) | int(KEY.v), "Frame selection or scene")):
+        driver.press(chord)
+        driver.frames(3)
+        assert driver.ctx.item_exists(f"//$FOCUSED/{command}")
+        before = driver.editor.playback.clock.time_s
+        for key in (KEY.down_arrow, KEY.right_arrow, KEY.escape, KEY.escape):
+            driver.press(key)
+        assert driver.editor.playback.clock.time_s == before  # the arrows move in the menu
+        assert not driver.ctx.item_exists(f"//$FOCUSED/{command}")
 
 
 def test_a_menu_that_was_open_in_an_earlier_window_takes_no_keys():

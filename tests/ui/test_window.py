@@ -15,56 +15,50 @@ from window_driver import imgui
 
 
 def test_dragging_the_intensity_is_one_step_and_time_plays(driver):
-    def script():
-        clear = driver.picture()
-        driver.drag("//Rain/##intensity_mm_h", (60, 0))
-        assert driver.editor.document.rain.intensity_mm_h > 1
-        assert driver.editor.viewport.statistics["drops drawn"] > 0
-        assert np.abs(driver.picture() - clear).max() > 4
-        driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.z))
-        assert driver.editor.document.rain.intensity_mm_h == 0
-        assert np.array_equal(driver.picture(), clear)
-        driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.y))
-        history = driver.editor.document.history
-        assert driver.editor.document.rain.intensity_mm_h > 1, (history.labels, history.cursor)
-        still = driver.picture()
-        assert np.array_equal(driver.picture(), still)
-        driver.click("//View/###Play")
-        driver.until(lambda: driver.editor.playback.clock.time_s > 0.05)
-        driver.click("//View/###Play")
-        assert not driver.editor.playback.clock.playing
-        assert not np.array_equal(driver.picture(), still)
-
-    driver.run(script)
+    clear = driver.picture()
+    driver.drag("//Rain/##intensity_mm_h", (60, 0))
+    assert driver.editor.document.rain.intensity_mm_h > 1
+    assert driver.editor.viewport.statistics["drops drawn"] > 0
+    assert np.abs(driver.picture() - clear).max() > 4
+    driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.z))
+    assert driver.editor.document.rain.intensity_mm_h == 0
+    assert np.array_equal(driver.picture(), clear)
+    driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.y))
+    history = driver.editor.document.history
+    assert driver.editor.document.rain.intensity_mm_h > 1, (history.labels, history.cursor)
+    still = driver.picture()
+    assert np.array_equal(driver.picture(), still)
+    driver.click("//View/###Play")
+    driver.until(lambda: driver.editor.playback.clock.time_s > 0.05)
+    driver.click("//View/###Play")
+    assert not driver.editor.playback.clock.playing
+    assert not np.array_equal(driver.picture(), still)
 
 
 def test_navigation_by_mouse_and_keys(driver):
     viewport = driver.editor.viewport
 
-    def script():
-        start = viewport.navigation.position.copy()
-        driver.drag("//View/view", (80, 0))
-        assert np.linalg.norm(viewport.navigation.position - start) > 0.5
-        driver.click("//View/###Home")
-        assert viewport.navigation.position == pytest.approx(start)
-        driver.ctx.mouse_move("//View/view")
-        driver.ctx.key_down(imgui.Key.w)
-        driver.until(lambda: viewport.navigation.position[0] > start[0] + 0.1)
-        assert viewport.navigation.velocity_m_s[0] > 1
-        driver.ctx.key_up(imgui.Key.w)
-        driver.frames()
-        assert np.all(viewport.navigation.velocity_m_s == 0)
-        driver.press(imgui.Key.f)
-        assert viewport.navigation.distance_m > 20
-        driver.press(imgui.Key.r)
-        assert viewport.navigation.position == pytest.approx(start)
-        driver.ctx.mouse_wheel_y(2)
-        driver.frames()
-        assert viewport.navigation.distance_m < 20
-        driver.click("//View/Follow path")
-        assert viewport.options.follow_path
-
-    driver.run(script)
+    start = viewport.navigation.position.copy()
+    driver.drag("//View/view", (80, 0))
+    assert np.linalg.norm(viewport.navigation.position - start) > 0.5
+    driver.click("//View/###Home")
+    assert viewport.navigation.position == pytest.approx(start)
+    driver.ctx.mouse_move("//View/view")
+    driver.ctx.key_down(imgui.Key.w)
+    driver.until(lambda: viewport.navigation.position[0] > start[0] + 0.1)
+    assert viewport.navigation.velocity_m_s[0] > 1
+    driver.ctx.key_up(imgui.Key.w)
+    driver.frames()
+    assert np.all(viewport.navigation.velocity_m_s == 0)
+    driver.press(imgui.Key.f)
+    assert viewport.navigation.distance_m > 20
+    driver.press(imgui.Key.r)
+    assert viewport.navigation.position == pytest.approx(start)
+    driver.ctx.mouse_wheel_y(2)
+    driver.frames()
+    assert viewport.navigation.distance_m < 20
+    driver.click("//View/Follow path")
+    assert viewport.options.follow_path
 
 
 def test_files_open_by_drop_and_bad_ones_are_reported(driver, tmp_path):
@@ -76,124 +70,107 @@ def test_files_open_by_drop_and_bad_ones_are_reported(driver, tmp_path):
     for name in ("a.png", "b.png"):
         Image.new("RGB", (32, 24), "gray").save(photograph.with_name(name))
 
-    def script():
-        first = driver.editor.document.scene
-        driver.window.drop([str(bad)])
-        driver.until(lambda: driver.editor.busy is None)
-        assert driver.editor.document.scene is first
-        assert any("bad.ply" in line.text for line in driver.editor.status.log.lines)
-        driver.window.drop([str(good)])
-        driver.until(lambda: driver.editor.busy is None)
-        assert driver.editor.document.scene.name == "wall"
-        driver.ctx.window_focus("//Log")
-        driver.frames(3)
-        driver.window.drop([str(photograph)])
-        driver.until(lambda: driver.editor.status.question is not None)
-        assert driver.editor.status.question.title == "Open capture"
-        driver.press(imgui.Key.escape)
-
-    driver.run(script)
+    first = driver.editor.document.scene
+    driver.window.drop([str(bad)])
+    driver.until(lambda: driver.editor.busy is None)
+    assert driver.editor.document.scene is first
+    assert any("bad.ply" in line.text for line in driver.editor.status.log.lines)
+    driver.window.drop([str(good)])
+    driver.until(lambda: driver.editor.busy is None)
+    assert driver.editor.document.scene.name == "wall"
+    driver.ctx.window_focus("//Log")
+    driver.frames(3)
+    driver.window.drop([str(photograph)])
+    driver.until(lambda: driver.editor.status.question is not None)
+    assert driver.editor.status.question.title == "Open capture"
+    driver.press(imgui.Key.escape)
     assert driver.editor.viewport.backend in ("opengl-tiles", "opengl-quads", "cpu")
 
 
 def test_two_pictures_beside_each_other_and_a_divider_between(driver):
     options = driver.editor.viewport.options
-
-    def script():
-        driver.click("//Rain/8.5")
-        driver.editor.document.change_rain("Much", streak_gain=50.0)
-        driver.frames()
-        rainy = driver.picture()
-        options.split = "clear | rainy"
-        driver.frames()
-        both = driver.picture()
-        middle = both.shape[1] // 2
-        assert np.array_equal(both[:, middle + 1 :], rainy[:, middle + 1 :])
-        assert np.abs(both[:, :middle] - rainy[:, :middle]).max() > 4
-        driver.drag("//View/divider", (-120, 0))
-        assert options.divider < 0.4
-        moved = driver.picture()
-        at = round(options.divider * moved.shape[1])
-        assert np.array_equal(moved[:, at + 1 :], rainy[:, at + 1 :])
-        assert np.array_equal(moved[:, : at - 1], both[:, : at - 1])
-        driver.ctx.item_double_click("//View/divider")
-        driver.frames()
-        assert options.divider == 0.5
-        options.split = "before | after"
-        driver.frames()
-        compared = driver.picture()
-        assert np.abs(compared[:, :middle] - rainy[:, :middle]).max() > 4  # before: without the gain
-
-    driver.run(script)
+    driver.click("//Rain/8.5")
+    driver.editor.document.change_rain("Much", streak_gain=50.0)
+    driver.frames()
+    rainy = driver.picture()
+    options.split = "clear | rainy"
+    driver.frames()
+    both = driver.picture()
+    middle = both.shape[1] // 2
+    assert np.array_equal(both[:, middle + 1 :], rainy[:, middle + 1 :])
+    assert np.abs(both[:, :middle] - rainy[:, :middle]).max() > 4
+    driver.drag("//View/divider", (-120, 0))
+    assert options.divider < 0.4
+    moved = driver.picture()
+    at = round(options.divider * moved.shape[1])
+    assert np.array_equal(moved[:, at + 1 :], rainy[:, at + 1 :])
+    assert np.array_equal(moved[:, : at - 1], both[:, : at - 1])
+    driver.ctx.item_double_click("//View/divider")
+    driver.frames()
+    assert options.divider == 0.5
+    options.split = "before | after"
+    driver.frames()
+    compared = driver.picture()
+    assert np.abs(compared[:, :middle] - rainy[:, :middle]).max() > 4  # before: without the gain
 
 
 def test_while_the_camera_moves_less_is_drawn_and_all_of_it_at_rest(driver):
-    def script():
-        editor = driver.editor
-        editor.viewport.budget.target_ms = 0.01  # no machine holds it
-        driver.click("//View/###Home")
-        driver.until(lambda: editor.viewport.detail.is_exact)
-        exact = driver.picture()
-        driver.ctx.mouse_move("//View/view")
-        driver.ctx.key_down(imgui.Key.w)
-        driver.until(lambda: str(editor.viewport.detail) == "1/8 of the Gaussians, 33% resolution")
-        driver.ctx.key_up(imgui.Key.w)
-        driver.until(lambda: editor.viewport.detail.is_exact)
-        driver.click("//View/###Home")
-        driver.until(lambda: editor.viewport.detail.is_exact)
-        assert np.array_equal(driver.picture(), exact)
-
-    driver.run(script)
+    editor = driver.editor
+    editor.viewport.budget.target_ms = 0.01  # no machine holds it
+    driver.click("//View/###Home")
+    driver.until(lambda: editor.viewport.detail.is_exact)
+    exact = driver.picture()
+    driver.ctx.mouse_move("//View/view")
+    driver.ctx.key_down(imgui.Key.w)
+    driver.until(lambda: str(editor.viewport.detail) == "1/8 of the Gaussians, 33% resolution")
+    driver.ctx.key_up(imgui.Key.w)
+    driver.until(lambda: editor.viewport.detail.is_exact)
+    driver.click("//View/###Home")
+    driver.until(lambda: editor.viewport.detail.is_exact)
+    assert np.array_equal(driver.picture(), exact)
 
 
 def test_calibration_and_disdrometer_panels_measure_the_rain(driver):
     lab = driver.editor.calibration
-
-    def script():
-        driver.editor.document.change_rain("Intensity", intensity_mm_h=8.5)
-        driver.ctx.window_focus("//Disdrometer")
-        driver.ctx.set_ref("//Disdrometer")
-        driver.ctx.item_input_value("##seconds", 20.0)
-        driver.ctx.item_click("Measure")
-        driver.until(lambda: lab.counted is not None, 100_000)
-        assert abs(lab.counted.rate_mm_h - 8.5) < 3 * lab.counted.standard_error_mm_h
-        assert lab.counted.seconds.sum() == 20
-        driver.ctx.window_focus("//Calibration")
-        driver.ctx.set_ref("//Calibration")
-        driver.ctx.combo_click("##compared/marshall_palmer")
-        driver.frames()
-        assert lab.pass_file.name == "marshall_palmer"
-        driver.ctx.combo_click("##calibration/marshall_palmer")
-        driver.frames()
-        assert driver.editor.live_rain.simulation.calibration.name == "marshall_palmer"
-        assert driver.editor.document.history.undo_label == "Calibration"
-
-    driver.run(script)
+    driver.editor.document.change_rain("Intensity", intensity_mm_h=8.5)
+    driver.ctx.window_focus("//Disdrometer")
+    driver.ctx.set_ref("//Disdrometer")
+    driver.ctx.item_input_value("##seconds", 20.0)
+    driver.ctx.item_click("Measure")
+    driver.until(lambda: lab.counted is not None, 100_000)
+    assert abs(lab.counted.rate_mm_h - 8.5) < 3 * lab.counted.standard_error_mm_h
+    assert lab.counted.seconds.sum() == 20
+    driver.ctx.window_focus("//Calibration")
+    driver.ctx.set_ref("//Calibration")
+    driver.ctx.combo_click("##compared/marshall_palmer")
+    driver.frames()
+    assert lab.pass_file.name == "marshall_palmer"
+    driver.ctx.combo_click("##calibration/marshall_palmer")
+    driver.frames()
+    assert driver.editor.live_rain.simulation.calibration.name == "marshall_palmer"
+    assert driver.editor.document.history.undo_label == "Calibration"
 
 
 def test_the_rain_panel_chooses_a_sensor_and_replaces_its_aperture(driver):
-    def script():
-        document, live = driver.editor.document, driver.editor.live_rain
-        driver.ctx.window_focus("//Rain")
-        driver.click("//Rain/Camera")
-        driver.ctx.set_ref("//Rain")
-        driver.ctx.combo_click("##sensor/rainsense")
-        driver.frames()
-        assert document.rain.sensor == "rainsense" and live.simulation.sensor.tone_curve == "crushed"
-        driver.click("//Rain/##aperture_mm given")
-        assert document.rain.aperture_mm == 4.0
-        driver.type_in("//Rain/##aperture_mm", 6.0)
-        assert document.rain.aperture_mm == 6.0
-        driver.ctx.item_click("//Rain/##aperture_mm", 1)
-        driver.frames()
-        assert document.rain.aperture_mm is None
-        driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.z))
-        assert document.rain.aperture_mm == 6.0
-        driver.click("//Rain/##aperture_mm given")
-        assert document.rain.aperture_mm is None
-        assert document.history.undo_label == "Aperture"
-
-    driver.run(script)
+    document, live = driver.editor.document, driver.editor.live_rain
+    driver.ctx.window_focus("//Rain")
+    driver.click("//Rain/Camera")
+    driver.ctx.set_ref("//Rain")
+    driver.ctx.combo_click("##sensor/rainsense")
+    driver.frames()
+    assert document.rain.sensor == "rainsense" and live.simulation.sensor.tone_curve == "crushed"
+    driver.click("//Rain/##aperture_mm given")
+    assert document.rain.aperture_mm == 4.0
+    driver.type_in("//Rain/##aperture_mm", 6.0)
+    assert document.rain.aperture_mm == 6.0
+    driver.ctx.item_click("//Rain/##aperture_mm", 1)
+    driver.frames()
+    assert document.rain.aperture_mm is None
+    driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.z))
+    assert document.rain.aperture_mm == 6.0
+    driver.click("//Rain/##aperture_mm given")
+    assert document.rain.aperture_mm is None
+    assert document.history.undo_label == "Aperture"
 
 
 _CTRL, _KEY = imgui.Key.mod_ctrl, imgui.Key
@@ -216,22 +193,19 @@ def test_layers_are_locked_copied_named_and_removed(driver):
     def names():
         return [each.name for each in editor.document.scene.layers]
 
-    def script():
-        driver.click("//Layers/members/###lock layers road")
-        assert editor.document.scene.layers[0].locked
-        driver.click("//Layers/members/###layers wall")
-        assert editor.viewport.options.member == "layers/wall"
-        driver.click("//Layers/Duplicate")
-        assert names() == ["road", "wall", "wall 2", "sky"]
-        assert editor.document.scene.layers[2].gaussians is editor.document.scene.layers[1].gaussians
-        driver.ctx.item_double_click("//Layers/members/###layers wall 2")
-        driver.frames(3)
-        driver.ctx.key_chars_replace_enter("fence")
-        driver.frames(3)
-        assert (names()[2], editor.viewport.options.member) == ("fence", "layers/fence")
-        driver.click("//Layers/Remove")
-        assert names() == ["road", "wall", "sky"]
-        driver.press(chord(_CTRL, imgui.Key.z))
-        assert names() == ["road", "wall", "fence", "sky"]
-
-    driver.run(script)
+    driver.click("//Layers/members/###lock layers road")
+    assert editor.document.scene.layers[0].locked
+    driver.click("//Layers/members/###layers wall")
+    assert editor.viewport.options.member == "layers/wall"
+    driver.click("//Layers/Duplicate")
+    assert names() == ["road", "wall", "wall 2", "sky"]
+    assert editor.document.scene.layers[2].gaussians is editor.document.scene.layers[1].gaussians
+    driver.ctx.item_double_click("//Layers/members/###layers wall 2")
+    driver.frames(3)
+    driver.ctx.key_chars_replace_enter("fence")
+    driver.frames(3)
+    assert (names()[2], editor.viewport.options.member) == ("fence", "layers/fence")
+    driver.click("//Layers/Remove")
+    assert names() == ["road", "wall", "sky"]
+    driver.press(chord(_CTRL, imgui.Key.z))
+    assert names() == ["road", "wall", "fence", "sky"]
