@@ -16,7 +16,7 @@ INNER_SPREAD = 0.63
 EDGE_SPREAD = 0.37
 """The same across the edge of a surface, or for an isolated one: keeps outlines in place."""
 
-NEAREST_FIRST = np.array([1.0, 1e-3, -1e-3])
+NEAREST_FIRST = np.array([1.0, 2e-4, -2e-4])
 """Direction from Gaussians that cover to those that are covered, for a camera that looks along the street. Its small
 parts decide for surfaces across the street: Gaussians are moved by as little, so that they do."""
 

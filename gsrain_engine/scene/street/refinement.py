@@ -155,8 +155,8 @@ def _view(quads: Quads, line: CameraLine) -> tuple[Float64[np.ndarray, "n 2"], B
 
 _HALF = np.sqrt(2 * np.log(2))  # deviations from a Gaussian's center to where it is half transparent
 _LEVEL_SPREAD = 0.64  # standard deviation inside level ground, where nothing is behind gaps
-_SPREAD = 0.6  # and inside other surfaces, which end and bend
-_LAST_SPREAD, _LAST_REACH = 0.55, 1.5  # of a cell at an edge on its far side, and deviations from center to that edge
+_SPREAD = 0.55  # and inside other surfaces, which end and bend
+_LAST_SPREAD, _LAST_REACH = 0.5, 1.5  # of a cell at an edge on its far side, and deviations from center to that edge
 _FIRST_SPREAD = 0.34  # of a cell at an outline on its near side, in its middle
 _HIDDEN_SPREAD = 0.25  # of a cell at an outline that the camera does not see, so that it does not stand out behind it
 _CLEAR, _CLEAR_COLOR = 2.1, 1.6  # minimum deviations from other centers to an outline, and to a color edge before them

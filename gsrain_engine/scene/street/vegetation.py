@@ -214,7 +214,7 @@ def _bin(x: float, y: float) -> Quads:
 RADIUS_M = 900.0
 SKY_SPREAD = 0.8
 """Wider than elsewhere, to blend neighboring cells of sky."""
-_SKY_SHIFT = 0.4  # upwards, in cells: higher ones are nearer along the view and cover lower ones
+_SKY_SHIFT = 0.8  # upwards, in cells: higher ones are nearer along the view and cover lower ones
 
 
 def build_sky(layout: StreetLayout) -> Quads:
