@@ -25,7 +25,15 @@ from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from gsrain_engine.scene.formats.scene_folder import FileCache, write_scene_folder
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
 from gsrain_engine.scene.geometry import matrices_from_quaternions
-from gsrain_engine.scene.lod_tree import FAN_OUT, LodTree, build_lod_tree, cut_lod_tree, level_starts, merged_harmonics
+from gsrain_engine.scene.lod_tree import (
+    FAN_OUT,
+    LodTree,
+    build_lod_tree,
+    cut_lod_tree,
+    level_starts,
+    merged_harmonics,
+    occlusion_by_trees,
+)
 from gsrain_engine.scene.open import load_drawable_scene, sorted_with_trees, with_lod_trees
 from gsrain_engine.scene.scene import DrawItem, Layer, Scene
 from render.cpu.raster_scenes import psnr_db
@@ -95,7 +103,7 @@ def test_nodes_have_the_moments_of_their_children_and_keep_the_integral_of_their
             kinds.add("spread")
             assert tree.nodes.opacities[node] == pytest.approx(1, abs=1e-3)
             assert integral <= weights.sum() * 1.001
-            largest = cross_section(within + 5 * between)
+            largest = cross_section(within + 1.8 * between)
             assert cross_section(merged[node]) == pytest.approx(min(weights.sum(), largest), rel=1e-3)
     assert kinds == {"matched", "spread"}
 
@@ -193,6 +201,43 @@ def test_near_walls_are_drawn_exactly() -> None:
     full = renderer.read().rgba
     renderer.draw(subset_items([item], LodCut(), camera()), camera())
     np.testing.assert_array_equal(renderer.read().rgba, full)
+
+
+def test_what_surfaces_hide_is_left_out() -> None:
+    far, near = wall(300, 60.0), wall(100, 20.0)  # the near one is 220 pixels wide, the far one 73
+    trees, renderer = [build_lod_tree(far), build_lod_tree(near)], CpuRenderer()
+
+    def drawn(aside_m: float, opacity: float, cut: LodCut) -> tuple[int, Frame]:
+        """Number of splats of the far wall, and the image, with the near wall moved to the right."""
+        to_world = np.eye(4)
+        to_world[0, 3] = aside_m
+        parts = [DrawItem(far, np.eye(4), tree=trees[0]), DrawItem(near, to_world, tree=trees[1], opacity=opacity)]
+        items = subset_items(parts, cut, camera())
+        renderer.draw(items, camera())
+        return sum(each.drawn_count for each in items[:2]), renderer.read()
+
+    whole = LodCut(occlusion=False)
+    number, _ = drawn(0.0, 1.0, whole)
+    assert drawn(0.0, 1.0, LodCut())[0] == 0 and drawn(0.0, 0.5, LodCut())[0] == drawn(40.0, 1.0, LodCut())[0] == number
+    half, image = drawn(10.0, 1.0, LodCut())
+    assert 0.4 * number < half < 0.65 * number
+    assert psnr_db(image, drawn(10.0, 1.0, whole)[1]) > 45
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_depths_of_occlusion_are_those_of_surfaces(threads: int) -> None:
+    near, before = wall(100, 20.0), numba.get_num_threads()
+    tree = build_lod_tree(near)
+    try:
+        numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
+        hidden = occlusion_by_trees([(tree, np.diag([0.5, 0.5, 1.0, 1.0]))], camera())
+    finally:
+        numba.set_num_threads(before)
+    cells = hidden.cells
+    assert cells.shape == (48, 32) and hidden.depths_m[-1] == np.inf
+    inside = cells[14:34, 6:26]
+    assert (inside > 20).all() and (inside < 20 * 1.13).all()
+    assert np.isinf(cells[[0, -1]]).all()
 
 
 def test_wet_colors_of_nodes_are_those_of_their_gaussians() -> None:
