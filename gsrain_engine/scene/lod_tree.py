@@ -20,7 +20,7 @@ FAN_OUT = 4
 MAX_ROOTS = 1024
 """Maximum number of nodes in the uppermost level, which a cut visits all."""
 
-PIXEL = 0.92
+PIXEL = 0.82
 """Maximum error of a drawn node in pixels."""
 
 MIN_GAUSSIANS = 1_000_000
@@ -38,7 +38,7 @@ _BITS = 21  # bits of a cell along each axis
 _MARGIN = 8.0  # extent of the cells, in boxes around the middle 98 % along each axis
 _SAMPLES = 1_000_000  # maximum number of Gaussians sampled for the box, evenly in order
 _REACH = 3.33  # standard deviations within which alpha is above 1/255
-_MAX_SPREAD = 1.8  # maximum factor on the covariance between children
+_MAX_SPREAD = 5.0  # maximum factor on the covariance between children; with 2.5 far walls have gaps
 _CORE = 0.4  # part of a node's ball that must be hidden: what its margin contributes is faint
 _CORE_DILATED_PX = 0.5  # by which that part grows in the image
 _DILATED_PX = 2.0  # reach of the pixel's own footprint, which renderers add to each splat
@@ -101,9 +101,9 @@ def build_lod_tree(gaussians: Gaussians) -> LodTree:
 
     A node has the mean and covariance of its children, weighted by opacity times mean cross-section, and keeps the
     integral of their alpha over the image (moment matching as in Kerbl et al. 2024). Where that needs an opacity above
-    1, the distances between the children count more, by up to a factor of 1.8 in covariance, so that surfaces stay
-    closed; more would blur their outlines. Non-finite Gaussians have no weight. Deterministic for any number of
-    threads. Memory beyond the result: 24 bytes per Gaussian.
+    1, the distances between the children count more, by up to a factor of 5 in covariance, so that a closed surface
+    stays closed. Non-finite Gaussians have no weight. Deterministic for any number of threads. Memory beyond the
+    result: 24 bytes per Gaussian.
     """
     count, k = len(gaussians), gaussians.sh.shape[1]
     leaves = _curve_order(gaussians)
