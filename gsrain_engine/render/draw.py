@@ -298,7 +298,7 @@ class LodCut:
     occlusion: bool = True
     """Leave out what is hidden behind other parts, unless some of these are left out later."""
     hidden: OcclusionMap | None = field(default=None, compare=False)
-    """What is hidden in the image of one camera."""
+    """Occlusion map of one camera, for its images only."""
 
     def without_hidden(self, parts: Sequence[DrawItem], camera: Camera) -> "LodCut":
         """Cut of parts for a camera without what is hidden behind opaque ones."""

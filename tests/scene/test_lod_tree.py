@@ -186,7 +186,7 @@ def test_far_walls_are_drawn_with_a_fraction_of_the_gaussians_and_look_the_same(
         frame = renderer.read()
         return renderer.statistics.splats_drawn, frame, Frame(frame.rgba[52:-52, 92:-92])
 
-    full, cut, fine, subset = (image(each) for each in (None, LodCut(), LodCut(0.25), LodSubset(1 / 64)))
+    full, cut, fine, subset = (image(each) for each in (None, LodCut(1.0), LodCut(0.25), LodSubset(1 / 64)))
     assert (full[0], subset[0]) == (90_000, 1407) and cut[0] < 1407 and fine[0] < 90_000 / 6
     assert cut[2].rgba[..., 3].min() > 0.9 and fine[2].rgba[..., 3].min() > 0.99  # without holes
     assert psnr_db(full[2], fine[2]) > psnr_db(full[2], cut[2]) + 4 > psnr_db(full[2], subset[2]) + 6
@@ -204,9 +204,9 @@ def test_near_walls_are_drawn_exactly() -> None:
 
 
 def thick_wall() -> Gaussians:
-    """Wall at 20 m whose tiles overlap, so that it is opaque wherever they are merged."""
-    near = wall(100, 20.0)
-    return replace(near, scales=near.scales * np.float32(2))
+    """Wall at 20 m of overlapping tiles in three layers, opaque wherever they are merged."""
+    walls = [wall(100, distance_m) for distance_m in (20.0, 20.2, 20.4)]
+    return Gaussians.concatenate([replace(each, scales=each.scales * np.float32(2)) for each in walls])
 
 
 def test_what_surfaces_hide_is_left_out() -> None:
