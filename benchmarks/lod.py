@@ -11,6 +11,7 @@ from gsrain_engine.backends import open_renderer
 from gsrain_engine.render.draw import LodCut, RenderView, draw_view
 from gsrain_engine.render.renderer import Frame, describe_machine
 from gsrain_engine.scene.camera import Camera
+from gsrain_engine.scene.lod_tree import PIXEL
 from gsrain_engine.scene.open import load_scene, with_lod_trees
 from gsrain_engine.scene.rig import rig_camera
 from gsrain_engine.scene.scene import Scene
@@ -94,7 +95,7 @@ def main() -> None:
     parser.add_argument("--times", default="5,15,25,35,45", help="times of the drive in s")
     parser.add_argument("--backend", default="cpu")
     parser.add_argument("--frames", type=int, default=20)
-    parser.add_argument("--pixel", type=float, default=1.0, help="error of the cut in pixels")
+    parser.add_argument("--pixel", type=float, default=PIXEL, help="error of the cut in pixels")
     arguments = parser.parse_args()
     times_s = [float(each) for each in arguments.times.split(",")]
     result = measured(arguments.scene, times_s, arguments.backend, arguments.frames, arguments.pixel)

@@ -18,8 +18,9 @@ from ..scene.camera import Camera
 from ..scene.gaussians import Gaussians, IdentityKey, scene_cache
 from ..scene.ground_water import WetGround, ground_heights
 from ..scene.lens_faces import wide_face
+from ..scene.lod_occlusion import OcclusionMap
 from ..scene.lod_order import lod_growth, lod_sample, thinned
-from ..scene.lod_tree import MIN_GAUSSIANS, PIXEL, cut_lod_tree, merged_harmonics
+from ..scene.lod_tree import MIN_GAUSSIANS, PIXEL, LodTree, cut_lod_tree, merged_harmonics, occlusion_by_trees
 from ..scene.scene import DrawItem, Scene, is_single_object
 from ..water.films import WaterDepth, WaterFilms
 from ..water.leveled_ground import leveled_view
@@ -140,7 +141,9 @@ def draw_view(
         parts = reflecting_items(parts, scene)
         waves = ring_waves(scene, rainfall, level, shot.time_s, shot.focal_px) if falls else None
         water = wetness, flooded_share(depth.film_mm), sky.drops
-        below = partial(subset_items, items, reflected or thinning)
+        if reflected is None:  # the ground is left out, and hides nothing
+            reflected = replace(thinning, occlusion=False) if isinstance(thinning, LodCut) else thinning
+        below = partial(subset_items, items, reflected)
         reflect = partial(
             draw_mirror, renderer, scene, below, rain, level, *water, lit_lamps, standing, waves,
             SHARE if still is None else FAST_SHARE,
@@ -277,6 +280,8 @@ class Thinning(Protocol):
 def subset_items(parts: Sequence[DrawItem], thinning: Thinning | None, camera: Camera) -> Sequence[DrawItem]:
     if thinning is None:
         return parts
+    if isinstance(thinning, LodCut):
+        thinning = thinning.without_hidden(parts, camera)
     items = [item for part in parts for item in thinning.items(part, camera)]
     return thinning.join(items, camera) if isinstance(thinning, LodSample) else items
 
@@ -290,16 +295,36 @@ class LodCut:
 
     pixel: float = PIXEL
     others: "LodSubset | None" = None
+    occlusion: bool = True
+    """Leave out what is hidden behind other parts, unless some of these are left out later."""
+    hidden: OcclusionMap | None = field(default=None, compare=False)
+    """Occlusion map of one camera, for its images only."""
+
+    def without_hidden(self, parts: Sequence[DrawItem], camera: Camera) -> "LodCut":
+        """Cut of parts for a camera without what is hidden behind opaque ones."""
+        if not self.occlusion:
+            return self
+        trees = [
+            (tree, each.to_world)
+            for each in parts
+            if each.opacity >= 1 and (tree := _tree_of(each, camera)) is not None
+        ]
+        return replace(self, hidden=occlusion_by_trees(trees, camera))
 
     def items(self, part: DrawItem, camera: Camera) -> Sequence[DrawItem]:
         """Items for the Gaussians of a part's cut, and for its nodes."""
-        tree = part.tree
-        if tree is None or not camera.is_pinhole or part.left_out or part.selected is not None:
+        tree = _tree_of(part, camera)
+        if tree is None:
             return [part] if self.others is None else self.others.items(part, camera)
-        found = cut_lod_tree(tree, camera, part.to_world, self.pixel)
+        found = cut_lod_tree(tree, camera, part.to_world, self.pixel, hidden=self.hidden)
         wet_sh = merged_harmonics(tree, part.wet_sh) if part.is_wet and part.wet_sh is not None else None
         own = part._replace(members=found.leaves, tree=None)
         return [own, own._replace(gaussians=tree.nodes, members=found.nodes, wet_sh=wet_sh)]
+
+
+def _tree_of(part: DrawItem, camera: Camera) -> LodTree | None:
+    """Tree by which a part is cut for a camera, if it is."""
+    return None if not camera.is_pinhole or part.left_out or part.selected is not None else part.tree
 
 
 def lod_cut(scene: Scene, lod: Lod | None) -> LodCut | None:

@@ -1,5 +1,6 @@
 """Level-of-detail (LOD) tree of merged Gaussians, and its cut for a camera: details smaller than a pixel are merged."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import NamedTuple, no_type_check
 
@@ -10,6 +11,7 @@ from jaxtyping import Float32, Float64, Int64, UInt32
 from ..kernels import NOGIL
 from .camera import Camera
 from .gaussians import SH_C0, Gaussians, IdentityKey, scene_cache
+from .lod_occlusion import CELL_PX, OcclusionMap, nothing_hidden, occlusion_map
 from .mapped_arrays import release_pages
 
 FAN_OUT = 4
@@ -18,7 +20,7 @@ FAN_OUT = 4
 MAX_ROOTS = 1024
 """Maximum number of nodes in the uppermost level, which a cut visits all."""
 
-PIXEL = 1.0
+PIXEL = 0.82
 """Maximum error of a drawn node in pixels."""
 
 MIN_GAUSSIANS = 1_000_000
@@ -37,7 +39,13 @@ _MARGIN = 8.0  # extent of the cells, in boxes around the middle 98 % along each
 _SAMPLES = 1_000_000  # maximum number of Gaussians sampled for the box, evenly in order
 _REACH = 3.33  # standard deviations within which alpha is above 1/255
 _MAX_SPREAD = 5.0  # maximum factor on the covariance between children; with 2.5 far walls have gaps
+_CORE = 0.4  # part of a node's ball that must be hidden: what its margin contributes is faint
+_CORE_DILATED_PX = 0.5  # by which that part grows in the image
 _DILATED_PX = 2.0  # reach of the pixel's own footprint, which renderers add to each splat
+_FINEST_OCCLUDER = 2.0  # maximum error of an occluder in cells of the occlusion map
+_PARTS = 16  # parts of the roots, which are walked in parallel; the result does not depend on it
+_BLOCK = 64  # nodes whose places are computed at a time
+_LEFT_OUT, _DIVIDED, _DRAWN = 0, 1, 2
 _NEAR_M = 0.2  # nearest depth of a drawn center, as in the renderers
 
 
@@ -164,14 +172,38 @@ def cut_lod_tree(
     to_world: Float64[np.ndarray, "4 4"],
     pixel: float = PIXEL,
     *,
+    hidden: OcclusionMap | None = None,
     in_order: bool = True,
 ) -> CutIndices:
     """Find the coarsest nodes with errors under `pixel` pixels, and the Gaussians where there is none.
 
-    Each Gaussian near the image is in the result once, itself or merged; those outside may be omitted. `to_world` is
-    the similarity from the tree's Gaussians to the camera's world. Unless `in_order`, which takes as long as the rest,
-    the Gaussians are in the order of the tree.
+    Each Gaussian near the image is in the result once, itself or merged; those outside, and those behind what an
+    occlusion map of the camera has as `hidden`, may be omitted. `to_world` is the similarity from the tree's Gaussians
+    to the camera's world. Unless `in_order`, the Gaussians are in the order of the tree.
     """
+    return _found(tree, camera, to_world, pixel, nothing_hidden() if hidden is None else hidden, in_order=in_order)
+
+
+def occlusion_by_trees(trees: Iterable[tuple[LodTree, Float64[np.ndarray, "4 4"]]], camera: Camera) -> OcclusionMap:
+    """Occlusion map of trees, with their similarities to the camera's world, by merged Gaussians of a few pixels."""
+
+    def occluders(tree: LodTree, to_world: Float64[np.ndarray, "4 4"]) -> Int64[np.ndarray, " b"]:
+        return _found(tree, camera, to_world, CELL_PX, nothing_hidden(), finest=_FINEST_OCCLUDER).nodes
+
+    return occlusion_map(((tree.nodes, occluders(tree, pose), pose) for tree, pose in trees), camera)
+
+
+def _found(
+    tree: LodTree,
+    camera: Camera,
+    to_world: Float64[np.ndarray, "4 4"],
+    pixel: float,
+    hidden: OcclusionMap,
+    *,
+    finest: float = 0.0,
+    in_order: bool = False,
+) -> CutIndices:
+    """Cut; with `finest`, of nodes only, and with those of the lowest level up to so many times the error."""
     starts = tree.levels
     m = np.ascontiguousarray(camera.world_to_camera @ to_world, np.float64)
     c = camera
@@ -179,21 +211,20 @@ def cut_lod_tree(
     roots = int(starts[-1] - starts[-2]) if len(starts) > 1 else 0
     if roots == 0:
         return CutIndices(np.arange(len(tree.leaves)), np.zeros(0, np.int64))
-    of_root = FAN_OUT ** (len(starts) - 1)
-    found_leaves = np.empty(roots * of_root, np.uint32)
-    found_nodes = np.empty(roots * (of_root // FAN_OUT), np.uint32)
-    counts = np.empty((roots, 2), np.int64)
+    size = -(-roots // _PARTS) * FAN_OUT ** (len(starts) - 1)
+    found_leaves, found_nodes = np.empty((_PARTS, size), np.uint32), np.empty((_PARTS, size // FAN_OUT + 1), np.uint32)
+    counts = np.empty((_PARTS, 2), np.int64)
     scale = float(np.cbrt(abs(np.linalg.det(m[:3, :3]))))
     _cut(
-        tree.leaves, tree.nodes.means, tree.radii, tree.errors, starts, m, scale, intrinsics, pixel, found_leaves,
-        found_nodes, counts,
+        tree.leaves, tree.nodes.means, tree.radii, tree.errors, starts, m, scale, intrinsics, pixel, finest,
+        float(CELL_PX), *hidden, found_leaves, found_nodes, counts,
     )  # fmt: skip
     ends = np.cumsum(counts, axis=0)
-    leaves, nodes = (np.empty(int(each), np.int64) for each in ends[-1])
+    leaves, nodes = np.empty(int(ends[-1, 0]), np.uint32), np.empty(int(ends[-1, 1]), np.int64)
     _gather(found_leaves, found_nodes, counts, ends, leaves, nodes)
     if in_order:
         leaves.sort()  # renderers draw equal depths in the order of the indices
-    return CutIndices(leaves, nodes)
+    return CutIndices(leaves.astype(np.int64), nodes)
 
 
 # Order along the curve
@@ -455,73 +486,123 @@ def _write_quaternion(r, q):
 
 @numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
-def _cut(leaves, means, radii, errors, starts, m, scale, intrinsics, pixel, found_leaves, found_nodes, counts):
-    """Walk down from each root; each has its own places for what it finds."""
-    leaves_a_root, nodes_a_root = len(found_leaves) // len(counts), len(found_nodes) // len(counts)
-    for root in numba.prange(len(counts)):
-        own_leaves = found_leaves[root * leaves_a_root : (root + 1) * leaves_a_root]
-        own_nodes = found_nodes[root * nodes_a_root : (root + 1) * nodes_a_root]
-        counts[root, 0], counts[root, 1] = _walk(
-            np.int64(root), leaves, means, radii, errors, starts, m, scale, intrinsics, pixel, own_leaves, own_nodes
-        )
+def _cut(
+    leaves, means, radii, errors, starts, m, scale, intrinsics, pixel, finest, cell_px, depths_m, levels,
+    found_leaves, found_nodes, counts,
+):  # fmt: skip
+    """Walk down from all roots, in parts with their own places for what they find."""
+    roots, parts = starts[-1] - starts[-2], len(counts)
+    size = (roots + parts - 1) // parts
+    for place in numba.prange(parts):
+        # Two threads get every other part, since roots that are in view are neighbors.
+        part = place % (parts // 2) * 2 + place // (parts // 2)
+        counts[part, 0], counts[part, 1] = _walk(
+            part * size, min(roots, (part + 1) * size), leaves, means, radii, errors, starts, m, scale, intrinsics,
+            pixel, finest, cell_px, depths_m, levels, found_leaves[part], found_nodes[part],
+        )  # fmt: skip
 
 
 @numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
-def _walk(root, leaves, means, radii, errors, starts, m, scale, intrinsics, pixel, found_leaves, found_nodes):
-    """Walk over the tree below a root, depth first; return the numbers of Gaussians and nodes found."""
+def _walk(
+    first_root, last_root, leaves, means, radii, errors, starts, m, scale, intrinsics, pixel, finest, cell_px,
+    depths_m, levels, found_leaves, found_nodes,
+):  # fmt: skip
+    """Walk over the tree below some roots, level by level; return the numbers of Gaussians and nodes found.
+
+    In blocks of nodes, whose tests have no branches, so that LLVM vectorizes them.
+    """
     fx, fy, cx, cy, width, height = intrinsics
     # Lengths of the normals of the planes through the eye and the image's borders.
     left, right = np.sqrt(fx * fx + cx * cx), np.sqrt(fx * fx + (width - cx) ** 2)
     up, down = np.sqrt(fy * fy + cy * cy), np.sqrt(fy * fy + (height - cy) ** 2)
     focal, top = max(fx, fy), len(starts) - 2
-    level, k, leaf_count, node_count = top, root, 0, 0
-    while True:
-        n = starts[level] + k
-        x, y, z = np.float64(means[n, 0]), np.float64(means[n, 1]), np.float64(means[n, 2])
-        px = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]
-        py = m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]
-        pz = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
-        radius = scale * radii[n] + _DILATED_PX * max(pz, 0.0) / focal
-        is_near_image = (
-            pz + radius > _NEAR_M
-            and fx * px + cx * pz >= -radius * left
-            and (width - cx) * pz - fx * px >= -radius * right
-            and fy * py + cy * pz >= -radius * up
-            and (height - cy) * pz - fy * py >= -radius * down
-        )
-        if is_near_image:
-            if pz > _NEAR_M and scale * errors[n] * focal <= pixel * pz:
-                found_nodes[node_count] = n
-                node_count += 1
-            elif level == 0:
-                for j in range(k * FAN_OUT, min(len(leaves), (k + 1) * FAN_OUT)):
-                    found_leaves[leaf_count] = leaves[j]
-                    leaf_count += 1
-            else:
-                level -= 1
-                k *= FAN_OUT
-                continue
-        # To the next sibling, or to that of the nearest ancestor with one.
-        while level < top and (k % FAN_OUT == FAN_OUT - 1 or k + 1 >= starts[level + 1] - starts[level]):
-            k //= FAN_OUT
-            level += 1
-        if level == top:
-            return leaf_count, node_count
-        k += 1
+    room = max(last_root - first_root, 0) * FAN_OUT**top + FAN_OUT
+    visited, below = np.empty(room, np.uint32), np.empty(room, np.uint32)
+    lines, fates = np.empty((5, _BLOCK)), np.empty(_BLOCK, np.int8)
+    leaf_count, node_count, count = 0, 0, 0
+    for root in range(first_root, last_root):
+        visited[count] = root
+        count += 1
+    for level in range(top, -1, -1):
+        start, below_count = starts[level], 0
+        size_below = starts[level] - starts[level - 1] if level > 0 else len(leaves)
+        coarsest = pixel if level > 0 else pixel * max(finest, 1.0)
+        for first in range(0, count, _BLOCK):
+            number = min(_BLOCK, count - first)
+            for j in range(number):
+                n = start + visited[first + j]
+                lines[0, j], lines[1, j], lines[2, j] = means[n, 0], means[n, 1], means[n, 2]
+                lines[3, j], lines[4, j] = radii[n], errors[n]
+            for j in range(number):
+                x, y, z = lines[0, j], lines[1, j], lines[2, j]
+                px = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3]
+                py = m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3]
+                pz = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
+                ball = scale * lines[3, j]
+                radius = ball + _DILATED_PX * max(pz, 0.0) / focal
+                is_near_image = (
+                    (pz + radius > _NEAR_M)
+                    & (fx * px + cx * pz >= -radius * left)
+                    & ((width - cx) * pz - fx * px >= -radius * right)
+                    & (fy * py + cy * pz >= -radius * up)
+                    & ((height - cy) * pz - fy * py >= -radius * down)
+                )
+                is_fine = (pz > _NEAR_M) & (scale * lines[4, j] * focal <= coarsest * pz)
+                nearest, near = pz - _CORE * ball, 1 / pz
+                lines[0, j], lines[1, j] = (fx * px * near + cx) / cell_px, (fy * py * near + cy) / cell_px
+                lines[2, j], lines[3, j] = nearest, (focal * _CORE * ball / nearest + _CORE_DILATED_PX) / cell_px
+                fates[j] = (_DRAWN if is_fine else _DIVIDED) if is_near_image else _LEFT_OUT
+            if len(levels) > 0:
+                for j in range(number):
+                    u, v, nearest, reach = lines[0, j], lines[1, j], lines[2, j], lines[3, j]
+                    if fates[j] != _LEFT_OUT and _is_hidden(u, v, nearest, reach, depths_m, levels):
+                        fates[j] = _LEFT_OUT
+            for j in range(number):
+                k = np.int64(visited[first + j])
+                found_nodes[node_count] = start + k
+                node_count += fates[j] == _DRAWN
+                if level > 0:
+                    for child in range(FAN_OUT):
+                        below[below_count + child] = k * FAN_OUT + child
+                    below_count += min(FAN_OUT, size_below - k * FAN_OUT) if fates[j] == _DIVIDED else 0
+                elif fates[j] == _DIVIDED and finest == 0:
+                    for child in range(k * FAN_OUT, min(size_below, (k + 1) * FAN_OUT)):
+                        found_leaves[leaf_count] = leaves[child]
+                        leaf_count += 1
+        visited, below, count = below, visited, below_count
+    return leaf_count, node_count
+
+
+@numba.njit(inline="always", error_model="numpy")
+@no_type_check
+def _is_hidden(u, v, nearest_m, reach, depths_m, levels):
+    """Return whether all cells within a reach of a place are hidden at a depth; place and reach in cells."""
+    if nearest_m <= _NEAR_M:
+        return False
+    level = 0
+    while level < len(levels) - 1 and reach > 2:  # at most five cells wide
+        level += 1
+        u, v, reach = 0.5 * u, 0.5 * v, 0.5 * reach
+    columns, rows, start = levels[level, 0], levels[level, 1], levels[level, 2]
+    # What lies outside of the image has the depths of its border.
+    left, right = min(max(u - reach, 0.0), columns - 1.0), min(max(u + reach, 0.0), columns - 1.0)
+    top, bottom = min(max(v - reach, 0.0), rows - 1.0), min(max(v + reach, 0.0), rows - 1.0)
+    for column in range(np.int64(left), np.int64(right) + 1):
+        for row in range(np.int64(top), np.int64(bottom) + 1):
+            if depths_m[start + column * rows + row] >= nearest_m:
+                return False
+    return True
 
 
 @numba.njit(parallel=True, cache=True, nogil=NOGIL)
 @no_type_check
 def _gather(found_leaves, found_nodes, counts, ends, leaves, nodes):
-    """Copy what each root has found to its place in the result."""
-    roots = len(counts)
-    for root in numba.prange(roots):
-        first = root * (len(found_leaves) // roots)
-        to = ends[root, 0] - counts[root, 0]
-        for j in range(counts[root, 0]):
-            leaves[to + j] = found_leaves[first + j]
-        first = root * (len(found_nodes) // roots)
-        to = ends[root, 1] - counts[root, 1]
-        for j in range(counts[root, 1]):
-            nodes[to + j] = found_nodes[first + j]
+    """Copy what each part has found to its place in the result."""
+    for part in numba.prange(len(counts)):
+        to = ends[part, 0] - counts[part, 0]
+        for j in range(counts[part, 0]):
+            leaves[to + j] = found_leaves[part, j]
+        to = ends[part, 1] - counts[part, 1]
+        for j in range(counts[part, 1]):
+            nodes[to + j] = found_nodes[part, j]

@@ -25,7 +25,15 @@ from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from gsrain_engine.scene.formats.scene_folder import FileCache, write_scene_folder
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
 from gsrain_engine.scene.geometry import matrices_from_quaternions
-from gsrain_engine.scene.lod_tree import FAN_OUT, LodTree, build_lod_tree, cut_lod_tree, level_starts, merged_harmonics
+from gsrain_engine.scene.lod_tree import (
+    FAN_OUT,
+    LodTree,
+    build_lod_tree,
+    cut_lod_tree,
+    level_starts,
+    merged_harmonics,
+    occlusion_by_trees,
+)
 from gsrain_engine.scene.open import load_drawable_scene, sorted_with_trees, with_lod_trees
 from gsrain_engine.scene.scene import DrawItem, Layer, Scene
 from render.cpu.raster_scenes import psnr_db
@@ -178,7 +186,7 @@ def test_far_walls_are_drawn_with_a_fraction_of_the_gaussians_and_look_the_same(
         frame = renderer.read()
         return renderer.statistics.splats_drawn, frame, Frame(frame.rgba[52:-52, 92:-92])
 
-    full, cut, fine, subset = (image(each) for each in (None, LodCut(), LodCut(0.25), LodSubset(1 / 64)))
+    full, cut, fine, subset = (image(each) for each in (None, LodCut(1.0), LodCut(0.25), LodSubset(1 / 64)))
     assert (full[0], subset[0]) == (90_000, 1407) and cut[0] < 1407 and fine[0] < 90_000 / 6
     assert cut[2].rgba[..., 3].min() > 0.9 and fine[2].rgba[..., 3].min() > 0.99  # without holes
     assert psnr_db(full[2], fine[2]) > psnr_db(full[2], cut[2]) + 4 > psnr_db(full[2], subset[2]) + 6
@@ -193,6 +201,49 @@ def test_near_walls_are_drawn_exactly() -> None:
     full = renderer.read().rgba
     renderer.draw(subset_items([item], LodCut(), camera()), camera())
     np.testing.assert_array_equal(renderer.read().rgba, full)
+
+
+def thick_wall() -> Gaussians:
+    """Wall at 20 m of overlapping tiles in three layers, opaque wherever they are merged."""
+    walls = [wall(100, distance_m) for distance_m in (20.0, 20.2, 20.4)]
+    return Gaussians.concatenate([replace(each, scales=each.scales * np.float32(2)) for each in walls])
+
+
+def test_what_surfaces_hide_is_left_out() -> None:
+    far, near = wall(300, 60.0), thick_wall()  # the near one is 220 pixels wide, the far one 73
+    trees, renderer = [build_lod_tree(far), build_lod_tree(near)], CpuRenderer()
+
+    def drawn(aside_m: float, opacity: float, cut: LodCut) -> tuple[int, Frame]:
+        """Number of splats of the far wall, and the image, with the near wall moved to the right."""
+        to_world = np.eye(4)
+        to_world[0, 3] = aside_m
+        parts = [DrawItem(far, np.eye(4), tree=trees[0]), DrawItem(near, to_world, tree=trees[1], opacity=opacity)]
+        items = subset_items(parts, cut, camera())
+        renderer.draw(items, camera())
+        return sum(each.drawn_count for each in items[:2]), renderer.read()
+
+    whole = LodCut(occlusion=False)
+    number, _ = drawn(0.0, 1.0, whole)
+    assert drawn(0.0, 1.0, LodCut())[0] == 0 and drawn(0.0, 0.5, LodCut())[0] == drawn(40.0, 1.0, LodCut())[0] == number
+    half, image = drawn(10.0, 1.0, LodCut())
+    assert 0.4 * number < half < 0.65 * number
+    assert psnr_db(image, drawn(10.0, 1.0, whole)[1]) > 45
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_depths_of_occlusion_are_those_of_surfaces(threads: int) -> None:
+    near, before = thick_wall(), numba.get_num_threads()
+    tree = build_lod_tree(near)
+    try:
+        numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
+        hidden = occlusion_by_trees([(tree, np.diag([0.5, 0.5, 1.0, 1.0]))], camera())
+    finally:
+        numba.set_num_threads(before)
+    cells = hidden.cells
+    assert cells.shape == (48, 32) and hidden.depths_m[-1] == np.inf
+    inside = cells[14:34, 6:26]
+    assert (inside > 20).all() and (inside < 20 * 1.13).all()
+    assert np.isinf(cells[[0, -1]]).all()
 
 
 def test_wet_colors_of_nodes_are_those_of_their_gaussians() -> None:
