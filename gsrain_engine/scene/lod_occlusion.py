@@ -16,14 +16,13 @@ CELL_PX = 5
 """Side of a cell of the map."""
 
 _HIDDEN = math.log(0.01)  # logarithm of the transmittance in front of what is hidden
-_SLICE_BITS = (
-    20  # bits of a depth as float32 that differ inside a slice: eight slices from 1 to 2 m, from 2 to 4 m, ...
-)
+_SLICE_BITS = 20  # bits of a depth as float32 that differ inside a slice: eight slices from 1 to 2 m, 2 to 4 m, ...
 _FIRST_SLICE = 127 << 3  # the bits above those at 1 m; all that is nearer is in the same slice
 _SLICES = 88
 _STRIPES = 8  # of columns, which are processed in parallel; the result does not depend on it
 _FOOTPRINT = 0.1  # variance of a cell's own area, as the pixel's in images (Mip-Splatting, Yu et al. 2024)
-_REACH = 1.8  # standard deviations to which a Gaussian occludes
+_GROWTH = 1.5  # of variances: light seems to come through gaps between merged Gaussians, which images don't have
+_REACH = 1.6  # standard deviations to which a Gaussian occludes
 _MIN_ALPHA = 0.05  # of a Gaussian that occludes
 _NEAR_M = 0.2
 _STEPS = 256
@@ -124,7 +123,8 @@ def _write_ellipses(members, means, scales, quaternions, opacities, m, view, box
         u1, v1 = b * (ux * rx + uy * ry + uz * rz), b * (vx * rx + vy * ry + vz * rz)
         rx, ry, rz = 2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)
         u2, v2 = c * (ux * rx + uy * ry + uz * rz), c * (vx * rx + vy * ry + vz * rz)
-        xx, xy, yy = u0 * u0 + u1 * u1 + u2 * u2, u0 * v0 + u1 * v1 + u2 * v2, v0 * v0 + v1 * v1 + v2 * v2
+        xx, xy = _GROWTH * (u0 * u0 + u1 * u1 + u2 * u2), _GROWTH * (u0 * v0 + u1 * v1 + u2 * v2)
+        yy = _GROWTH * (v0 * v0 + v1 * v1 + v2 * v2)
         before = max(xx * yy - xy * xy, 0.0)
         xx, yy = xx + _FOOTPRINT, yy + _FOOTPRINT
         determinant = xx * yy - xy * xy

@@ -20,7 +20,7 @@ FAN_OUT = 4
 MAX_ROOTS = 1024
 """Maximum number of nodes in the uppermost level, which a cut visits all."""
 
-PIXEL = 0.82
+PIXEL = 0.92
 """Maximum error of a drawn node in pixels."""
 
 MIN_GAUSSIANS = 1_000_000
@@ -39,6 +39,7 @@ _MARGIN = 8.0  # extent of the cells, in boxes around the middle 98 % along each
 _SAMPLES = 1_000_000  # maximum number of Gaussians sampled for the box, evenly in order
 _REACH = 3.33  # standard deviations within which alpha is above 1/255
 _MAX_SPREAD = 5.0  # maximum factor on the covariance between children; with 2.5 far walls have gaps
+_MAX_SPREAD_ANTIALIASED = 1.8  # such sets have crisp outlines, which more blurs: 1.3 dB in the long street
 _CORE = 0.4  # part of a node's ball that must be hidden: what its margin contributes is faint
 _CORE_DILATED_PX = 0.5  # by which that part grows in the image
 _DILATED_PX = 2.0  # reach of the pixel's own footprint, which renderers add to each splat
@@ -101,9 +102,9 @@ def build_lod_tree(gaussians: Gaussians) -> LodTree:
 
     A node has the mean and covariance of its children, weighted by opacity times mean cross-section, and keeps the
     integral of their alpha over the image (moment matching as in Kerbl et al. 2024). Where that needs an opacity above
-    1, the distances between the children count more, by up to a factor of 5 in covariance, so that a closed surface
-    stays closed. Non-finite Gaussians have no weight. Deterministic for any number of threads. Memory beyond the
-    result: 24 bytes per Gaussian.
+    1, the distances between the children count more, by up to a factor of 5 in covariance (1.8 for antialiased sets),
+    so that a closed surface stays closed. Non-finite Gaussians have no weight. Deterministic for any number of threads.
+    Memory beyond the result: 24 bytes per Gaussian.
     """
     count, k = len(gaussians), gaussians.sh.shape[1]
     leaves = _curve_order(gaussians)
@@ -126,7 +127,7 @@ def build_lod_tree(gaussians: Gaussians) -> LodTree:
             attributes = radii[lower], errors[lower], contrasts[lower]
         above = (*nodes.take(own).arrays, radii[own], errors[own], contrasts[own])
         merging: list[np.ndarray] = [*below.arrays, order, *attributes, *above]
-        _merge(*merging)
+        _merge(_MAX_SPREAD_ANTIALIASED if gaussians.antialiased else _MAX_SPREAD, *merging)
     return LodTree(gaussians, leaves, nodes, radii, errors)
 
 
@@ -285,8 +286,8 @@ def _hilbert_codes(means, low, cells_a_unit, codes):
 @numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
 @no_type_check
 def _merge(
-    means, scales, quaternions, opacities, sh, order, radii, errors, contrasts, to_means, to_scales, to_quaternions,
-    to_opacities, to_sh, to_radii, to_errors, to_contrasts,
+    max_spread, means, scales, quaternions, opacities, sh, order, radii, errors, contrasts, to_means, to_scales,
+    to_quaternions, to_opacities, to_sh, to_radii, to_errors, to_contrasts,
 ):  # fmt: skip
     """Merge children four by four.
 
@@ -332,7 +333,7 @@ def _merge(
             for c in range(sh.shape[1]):
                 for color in range(3):
                     to_sh[n, c, color] += np.float32(share) * sh[i, c, color]
-        spread = _spread(within, between, total)
+        spread = _spread(within, between, total, max_spread)
         axes = np.eye(3)
         covariance = within + between
         _diagonalize(covariance, axes)
@@ -422,8 +423,8 @@ def _minors(m):
 
 @numba.njit(inline="always", error_model="numpy")
 @no_type_check
-def _spread(within, between, integral):
-    """Smallest factor g >= 1 at which within + g between covers the integral with an opacity of 1, at most 5."""
+def _spread(within, between, integral, largest):
+    """Smallest factor g, 1 to `largest`, at which within + g between covers the integral with an opacity of 1."""
     c = _minors(within) - integral * integral
     a = _minors(between)
     b = _minors(within + between) - _minors(within) - a
@@ -434,8 +435,8 @@ def _spread(within, between, integral):
     elif b > 0:
         g = -c / b
     else:
-        g = _MAX_SPREAD
-    return min(max(g, 1.0), _MAX_SPREAD)
+        g = largest
+    return min(max(g, 1.0), largest)
 
 
 @numba.njit(error_model="numpy", cache=True, nogil=NOGIL)

@@ -13,7 +13,7 @@ import platformdirs
 from jaxtyping import Int64
 
 from ..safe_io.limits import file_sha256
-from . import lod_order
+from . import lod_order, lod_tree
 from .camera import Camera
 from .files import SceneFormatError
 from .flags import UNMARKED, SelectionFlags
@@ -150,7 +150,11 @@ def with_lod_trees(scene: Scene) -> Scene:
 def street_fingerprint(name: Path | str = STREET) -> str:
     """Hash of a built-in street's parameters and source, which identifies its version."""
     digest = hashlib.sha256(msgspec.json.encode(STREETS[str(name)]))
-    for source in (Path(lod_order.__file__), *sorted(Path(build.__file__).parent.glob("*.py"))):
+    for source in (
+        Path(lod_order.__file__),
+        Path(lod_tree.__file__),
+        *sorted(Path(build.__file__).parent.glob("*.py")),
+    ):
         digest.update(source.read_bytes())
     return digest.hexdigest()[:_HASH_DIGITS]
 
