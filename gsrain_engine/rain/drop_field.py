@@ -27,7 +27,7 @@ FIRST_OF_CLASS = pow(CLASS_STRIDE, -1, CLASSES)
 """Inverse of `CLASS_STRIDE`: class c has the drops (c * this mod CLASSES) + k CLASSES."""
 
 _CLASSES_BY_CHUNK = 64
-LANES = 16
+_LANES = 16
 
 
 class DropPhases(NamedTuple):
@@ -212,7 +212,7 @@ def search_drops(
 
     Returns their numbers, rising.
     """
-    turns = -(-count // (CLASSES * LANES)) * LANES  # whole SIMD vectors: a remainder would run one by one
+    turns = -(-count // (CLASSES * _LANES)) * _LANES  # whole SIMD vectors: a remainder would run one by one
     chunks = CLASSES // _CLASSES_BY_CHUNK
     numbers, counts = np.empty((chunks, _CLASSES_BY_CHUNK * turns), np.int64), np.empty(chunks, np.int64)
     geometry = np.concatenate([np.ravel(each) for each in (period_m, *culling[:5])])
