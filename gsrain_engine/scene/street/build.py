@@ -195,12 +195,19 @@ def quads_to_gaussians(
     def converted(part: Quads, lit: Float64[np.ndarray, "m 3"]) -> Gaussians:
         colors = light.display_colors(part, part.centers, lit)
         return Gaussians(
-            means_of(part), *_ellipses(part), part.opacity, _harmonics(part, colors, light, coefficients),
+            means_of(part), *_ellipses(part), _opacities(part), _harmonics(part, colors, light, coefficients),
             antialiased=True,
         )  # fmt: skip
 
     known = arriving_light(quads, light) if arriving is None else arriving
     return Gaussians.concatenate([converted(part, known[rows]) for rows, part in _numbered_chunks(quads)])
+
+
+def _opacities(quads: Quads) -> Float32[np.ndarray, " n"]:
+    """Largest alpha of each Gaussian. Where surfaces are translucent, overlapping ones together have theirs."""
+    overlap = np.maximum(2 * np.pi * quads.spread.prod(axis=1, dtype=np.float64), 1)
+    less = -np.expm1(np.log1p(-np.minimum(quads.opacity, 0.999)) / overlap)
+    return np.where(quads.opacity < 0.9, less, quads.opacity).astype(np.float32)
 
 
 def means_of(quads: Quads) -> Float32[np.ndarray, "n 3"]:

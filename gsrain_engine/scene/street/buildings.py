@@ -328,16 +328,25 @@ def _shop_front(house: House, others: Sequence[int], bay: float, rng: np.random.
     for run in runs:
         x0, x1 = run[0] * bay + 0.2, (run[-1] + 1) * bay - 0.2
         middle, size = ((x0 + x1) / 2, -0.04, 3.2), (x1 - x0, 0.1, 0.5)
-        parts.append(box(middle, size, house.accent, Label.BUILDING, coarse=0.5, faces="xXyzZ"))
-        letters = rng.uniform(0.12, 0.26, int(min(12, (x1 - x0) / 0.35)))
-        at = (x0 + x1) / 2 - letters.sum() * 0.65
-        for width in letters:  # an illegible word
-            tall = 0.13 if rng.random() < 0.7 else 0.2
-            parts.append(strip(float(at), float(at + width), 3.1, 3.1 + tall, -0.11, (0.7, 0.66, 0.52), 0.2))
-            at += width * 1.3
+        parts.append(box(middle, size, house.accent, Label.BUILDING, coarse=0.5, faces="xXzZ"))
+        parts.append(_word(x0, x1, house.accent, rng))
         if rng.random() < 0.6:
             parts.append(_awning(x0, x1, house.accent))
     return parts
+
+
+def _word(x0: float, x1: float, color: Any, rng: np.random.Generator) -> Quads:
+    """Front of a signboard with an illegible word: letters of two heights between 3.1 and 3.3 m."""
+    letters = rng.uniform(0.12, 0.26, int(min(12, (x1 - x0) / 0.35)))
+    ends = (x0 + x1) / 2 - letters.sum() * 0.65 + np.cumsum(1.3 * letters)
+    tall = rng.random(len(letters)) < 0.3
+    x = broken_lines([x0, *np.column_stack([ends - 1.3 * letters, ends - 0.3 * letters]).reshape(-1), x1], 0.5)
+    z = np.array([2.95, 3.1, 3.23, 3.3, 3.45])
+    middles = 0.5 * (x[:-1] + x[1:])
+    letter = np.abs(middles[:, None] - (ends - 0.8 * letters)) < 0.5 * letters
+    rows = np.stack([letter.any(axis=1), (letter & tall).any(axis=1)], axis=1)
+    painted = np.pad(rows, ((0, 0), (1, 1))).reshape(-1, 1)
+    return panel((0, -0.09, 0), _X, _Z, x, z, np.where(painted, (0.7, 0.66, 0.52), color), Label.BUILDING)
 
 
 def _awning(x0: float, x1: float, color: Any) -> Quads:
@@ -348,9 +357,8 @@ def _awning(x0: float, x1: float, color: Any) -> Quads:
     even = np.arange(len(x) - 1)[:, None] % 2 == 0
     stripes = np.where(even, [0.62, 0.59, 0.5], 2.2 * np.asarray(color))
     cloth = patch(points, np.repeat(stripes, 3, axis=0), Label.BUILDING)
-    under = patch(points[:, ::-1], np.repeat(0.5 * stripes, 3, axis=0), Label.BUILDING, sky_access=0.4)
     valance = panel((0, -1.15, 2.28), _X, _Z, x, np.array([0.0, 0.22]), stripes, Label.BUILDING)
-    return Quads.joined([cloth, under.placed((0, 0, -0.01)), valance])
+    return Quads.joined([cloth, valance])
 
 
 # Windows and doors

@@ -90,7 +90,7 @@ def vehicle_shadow(length: float, width: float) -> Quads:
     left = np.maximum(center[:, 1] - 0.5 * width + 0.15, 0)
     right = np.maximum(-center[:, 1] - 0.5 * width - 0.15, 0)
     fade = np.exp(-((np.hypot(outside, np.maximum(left, right)) / 0.28) ** 2))
-    return replace(shadow, opacity=(0.55 * fade).astype(np.float32)).take(fade > 0.02)
+    return replace(shadow, opacity=(0.75 * fade).astype(np.float32)).take(fade > 0.02)
 
 
 def _outline(form: CarForm, fine: float) -> Float64[np.ndarray, "n 2"]:

@@ -168,7 +168,7 @@ def _backplate(tall: float, wide: float) -> Quads:
     edge = (np.abs(at[:, 1]) > 0.5 * wide - border) | (np.abs(at[:, 2]) > 0.5 * tall - border)
     albedo = np.where(edge[:, None], _BORDER, front.albedo)
     front = Quads.of(front.corners, albedo, Label.TRAFFIC_LIGHT, spread=front.spread, gloss=0.03)
-    back = patch(points[::-1] + [0.012, 0, 0], (0.03, 0.031, 0.031), Label.TRAFFIC_LIGHT)
+    back = patch(points[::-3, ::5] + [0.012, 0, 0], (0.03, 0.031, 0.031), Label.TRAFFIC_LIGHT)
     return Quads.joined([front, back])
 
 

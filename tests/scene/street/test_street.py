@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from built_street import SHORT, street_of, surfaces_of
-from gsrain_engine.scene.gaussians import SH_C0, evaluate_sh
+from gsrain_engine.scene.gaussians import SH_C0, Gaussians, evaluate_sh
 from gsrain_engine.scene.geometry import matrices_from_quaternions
 from gsrain_engine.scene.rig import rig_camera
 from gsrain_engine.scene.scene import Scene, is_sky
@@ -24,7 +24,7 @@ from gsrain_engine.scene.street.build import (
     street_boxes,
     street_surfaces,
 )
-from gsrain_engine.scene.street.cars import TRUCK_FORM
+from gsrain_engine.scene.street.cars import TRUCK_FORM, vehicle_shadow
 from gsrain_engine.scene.street.ground import build_road
 from gsrain_engine.scene.street.layout import CURB_HEIGHT_M, STREETS, Label, StreetParameters, plan_street
 from gsrain_engine.scene.street.lighting import Illumination
@@ -49,7 +49,7 @@ def test_gaussians_are_sound_and_those_of_the_quads(street: Scene, surfaces: Str
     names = ["road", "pavements", "houses", "trees", *OBJECT_LAYERS, "furniture", "surroundings", "sky"]
     assert [layer.name for layer in street.layers] == names
     assert [layer.name for layer in street.layers if layer.kind == "sky"] == ["sky"]
-    assert 780_000 <= street.gaussian_count <= 880_000
+    assert 1_000_000 <= street.gaussian_count <= 1_200_000
     for each in street.members:
         assert_valid(each.gaussians)
         color = SH_C0 * each.gaussians.sh[:, 0] + 0.5
@@ -210,12 +210,58 @@ def test_broken_lines_rise_and_hit_every_break(lengths: list[float], spacing: fl
     assert np.diff(lines).max() <= spacing + 1e-9
 
 
+def alphas(gaussians: Gaussians, points: np.ndarray, plane: tuple[int, int, int]) -> np.ndarray:
+    """Alpha of each Gaussian at points, whose distance from the plane does not count."""
+    axes = matrices_from_quaternions(gaussians.quaternions) / gaussians.scales[:, None]
+    away = (points[:, None] - gaussians.means) * plane
+    return gaussians.opacities * np.exp(-0.5 * np.sum(np.einsum("pni,nij->pnj", away, axes) ** 2, axis=2))
+
+
+@pytest.mark.parametrize(("size", "parts", "most"), [(0.04, 1, 0.52), (0.1, 5, 0.34), (0.2, 9, 0.29), (0.3, 13, 0.25)])
+def test_a_leaf_has_the_alpha_of_its_quad(size: float, parts: int, most: float) -> None:
+    """Root mean square of what differs within 1.4 of its width, over that of the quad's own alpha."""
+    half = 0.5 * size
+    y, z = half * np.array([-1, -1, 1, 1]), half * np.array([-1, 1, 1, -1])
+    square = np.stack(np.broadcast_arrays(30.0, 8 + y, 2 + z), axis=1)[None]
+    leaf = Quads.of(square, 0.2, Label.VEGETATION, opacity=0.98, spread=0.38)
+    fine = refined(leaf, ego_camera_line(StreetParameters()), 1.4)
+    assert len(fine) == parts
+    gaussians = quads_to_gaussians(fine, Illumination.over(StreetParameters()))
+    at = np.linspace(-1.4 * half, 1.4 * half, 60)
+    y, z = (each.reshape(-1) for each in np.meshgrid(at, at))
+    points = np.stack(np.broadcast_arrays(30.0, 8 + y, 2 + z), axis=1)
+    alpha = 1 - np.prod(1 - alphas(gaussians, points, (0, 1, 1)), axis=1)
+    true = (np.maximum(np.abs(y), np.abs(z)) < half).astype(float)
+    assert np.sqrt(np.mean((alpha - true) ** 2) / np.mean(true**2)) < most
+
+
+def test_gaussians_of_a_surface_turned_away_do_not_stand_out() -> None:
+    """A flat roof above the camera, with a narrow rim: little alpha is beyond it."""
+    rim = np.array([0.0, 0.05, 0.9, 1.8, 1.85])
+    roof = panel((60, 4.0, 3.4), (1, 0, 0), (0, 1, 0), 2 * even_lines(0, 2, 0.25), rim, 0.5, Label.TRUCK)
+    fine = refined(roof, ego_camera_line(StreetParameters()), 1.4)
+    gaussians = quads_to_gaussians(fine, Illumination.over(StreetParameters()))
+    x = np.linspace(60.5, 63.5, 40)
+    for out in (0.03, 0.2):
+        points = np.stack(np.broadcast_arrays(x, 4.0 - out, 3.4), axis=1)
+        assert (1 - np.prod(1 - alphas(gaussians, points, (1, 1, 0)), axis=1)).max() < (0.3 if out < 0.1 else 0.02)
+
+
+def test_overlapping_gaussians_of_a_shadow_together_have_its_alpha() -> None:
+    shadow = vehicle_shadow(4.4, 1.8)
+    gaussians = quads_to_gaussians(shadow, Illumination.over(StreetParameters()))
+    chosen = np.flatnonzero(np.abs(shadow.centers[:, :2]).max(axis=1) < 0.6)
+    alpha = 1 - np.prod(1 - alphas(gaussians, shadow.centers[chosen], (1, 1, 0)), axis=1)
+    assert alpha == pytest.approx(shadow.opacity[chosen], abs=0.06)
+
+
 def test_cells_are_small_at_color_edges_and_grow_away_from_them() -> None:
     line = ego_camera_line(StreetParameters())
     lines = even_lines(-2.0, 2.0, 0.5)
     wall = panel((60, 8.0, 2.0), (1, 0, 0), (0, 0, 1), lines, lines, 0.5, Label.BUILDING)  # faces the road
     wall = wall.tinted(np.where(wall.centers[:, :1] < 60, 0.3, 1.0))
     fine = refined(wall, line, 1.0)
+    fine = fine.take(fine.spread[:, 0] < 1)  # without what fills gaps
     assert areas(fine).sum() == pytest.approx(16.0, rel=1e-5)
     assert set(np.unique(fine.albedo)) == set(np.unique(wall.albedo))
     extent = np.ptp(fine.corners, axis=1)[:, [0, 2]]
@@ -239,12 +285,9 @@ def test_nearer_cells_end_where_the_next_begin_beneath_them() -> None:
     pixel = (8.0 + 1.7) / 0.4663 / 1030 * (1 / 0.4663)
     gaussians = quads_to_gaussians(fine, Illumination.over(StreetParameters()))
     order = np.argsort(gaussians.means[:, 0], kind="stable")
-    axes = matrices_from_quaternions(gaussians.quaternions)[order] / gaussians.scales[order, None]
     x = np.arange(59.0, 61.0, 0.1 * pixel)
     for z in (1.87, 2.02, 2.25):
-        points = np.stack(np.broadcast_arrays(x, 8.0, z), axis=1)
-        away = points[:, None] - gaussians.means[order] * [1, 0, 1] - [0, 8.0, 0]
-        alpha = gaussians.opacities[order] * np.exp(-0.5 * np.sum(np.einsum("pni,nij->pnj", away, axes) ** 2, axis=2))
+        alpha = alphas(gaussians, np.stack(np.broadcast_arrays(x, 8.0, z), axis=1), (1, 0, 1))[:, order]
         left = np.cumprod(1 - alpha, axis=1)
         share = alpha * np.concatenate([np.ones((len(x), 1)), left[:, :-1]], axis=1)
         assert left[:, -1].max() < 0.25 and left[:, -1].mean() < 0.1
