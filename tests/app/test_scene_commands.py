@@ -127,7 +127,7 @@ def test_convert_computes_wet_colors_if_asked_to(tmp_path):
 def test_street_writes_scene_and_photographs(tmp_path, reported):
     numbers = reported("street", tmp_path / "town", "--moments", "1", "--width", "96")
     scene = read_scene(tmp_path / "town" / "scene")
-    assert 780_000 <= scene.gaussian_count == numbers["gaussians"] <= 880_000
+    assert 1_000_000 <= scene.gaussian_count == numbers["gaussians"] <= 1_200_000
     assert set(scene.rigs) == {"waymo_front3", "nuscenes"}
     images = tmp_path / "town" / "images"
     cameras = json.loads((images / "cameras.json").read_text())
