@@ -116,6 +116,12 @@ def _is_leaf(quads: Quads) -> Bool[np.ndarray, " n"]:
     return (quads.labels == Label.VEGETATION) & (quads.opacity < 0.99)
 
 
+def _axes(quads: Quads) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"]]:
+    """Twice the mean sides of quads along u and v, in meters."""
+    c = quads.corners.astype(np.float64)
+    return c[:, 1] + c[:, 2] - c[:, 0] - c[:, 3], c[:, 2] + c[:, 3] - c[:, 0] - c[:, 1]
+
+
 # Leaves
 # Gaussians of one leaf: offsets along u and v from its middle, and standard deviations, in widths of the quad; found as
 # the least error of their alpha, one over the other, from a square, for pixels of 1/8, 1/10 and 1/14 of it.
@@ -191,7 +197,7 @@ def _view(
     farthest = middle[:, 0] - line.first_x
     normals = geometric_normals(c)
     lengths = np.empty((len(quads), 2))
-    for k, edge in enumerate((c[:, 1] + c[:, 2] - c[:, 0] - c[:, 3], c[:, 2] + c[:, 3] - c[:, 0] - c[:, 1])):
+    for k, edge in enumerate(_axes(quads)):
         across, up = edge[:, 1] - aside / depth * edge[:, 0], edge[:, 2] - above / depth * edge[:, 0]
         lengths[:, k] = 0.5 * _FOCAL_PX / depth * np.hypot(across, up)
     facing = np.empty((len(quads), len(_FARTHER)), np.bool_)
@@ -227,9 +233,7 @@ def _footprints(
     """Standard deviations and offsets of the Gaussians of cells, in cell widths, along u, then v; columns are cells."""
     hidden, level = ~facing.any(axis=1), np.abs(quads.normals[:, 2]) > 0.9
     fixed = _is_leaf(quads) | (quads.opacity <= 0.9)
-    c = quads.corners.astype(np.float64)
-    axes = c[:, 1] + c[:, 2] - c[:, 0] - c[:, 3], c[:, 2] + c[:, 3] - c[:, 0] - c[:, 1]
-    for k, axis in enumerate(axes):
+    for k, axis in enumerate(_axes(quads)):
         room = beyond[:, k] / np.maximum(0.5 * np.linalg.norm(axis, axis=1), 1e-9)[:, None]
         spread = np.repeat(quads.spread[:, k : k + 1], counts[:, k].max(), axis=1)
         shift = np.zeros_like(spread)
@@ -310,9 +314,7 @@ def _edges(
     np.maximum.at(kinds, a, kind)
     np.maximum.at(kinds, b, kind)
     kinds = np.where(points != following, kinds.reshape(-1, 4), _NO_EDGE)
-    c = quads.corners.astype(np.float64)
-    axes = c[:, 1] + c[:, 2] - c[:, 0] - c[:, 3], c[:, 2] + c[:, 3] - c[:, 0] - c[:, 1]
-    u, v = (0.5 * np.linalg.norm(axis, axis=1) for axis in axes)
+    u, v = (0.5 * np.linalg.norm(axis, axis=1) for axis in _axes(quads))
     widths = np.where(np.roll(kinds, 2, axis=1) == _OUTLINE, np.stack([v, u, v, u], axis=1), np.inf).reshape(-1)
     room = np.full(len(sides), np.inf)
     np.minimum.at(room, a, widths[b])
