@@ -12,9 +12,8 @@ from jaxtyping import Float, Float32, Float64, Int64, UInt8
 from PIL import Image
 
 from ..render.mirror import reflecting_items
-from ..scene.formats.sog_writer import coded, encode_harmonics, image_columns, lossless_image, write_sog
+from ..scene.formats.sog_writer import coded, encode_harmonics, image_columns, lossless_image, sog_order, write_sog
 from ..scene.gaussians import SH_C0, Gaussians
-from ..scene.lod_order import morton_order
 from ..scene.progress import Progress
 from ..scene.scene import Actor, DrawItem, Layer, Scene
 from ..scene.transforms import bake_item, transform_gaussians, world_to_file
@@ -75,7 +74,7 @@ def page_scene(
         items.append((member, float(times_s[first]), len(poses) if is_moving else 0))
     yield Progress(0.1, "Compressing the scene")
     dry, labels, water = _merged(scene, items, 0.0, mirror=mirror)
-    order = morton_order(dry)
+    order = sog_order(dry)
     sog = sog_bytes(dry)
     wet = None
     if scene.has_wet_colors:

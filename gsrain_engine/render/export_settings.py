@@ -74,7 +74,7 @@ class ExportSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     lod: Annotated[Lod | None, Meta(
         title="Level of detail", extra={"commands": "render, drive"},
         description="pixel merges details smaller than a pixel, which makes large scenes faster; off draws every "
-        "Gaussian. None takes pixel from a million Gaussians on, except for NPY. Depth and labels are always exact.",
+        "Gaussian. None takes pixel from 1.5 million Gaussians on, except for NPY. Depth and labels are always exact.",
     )] = None
     projection: Annotated[Projection, Meta(
         title="Projection", extra={"commands": "render"},

@@ -41,7 +41,7 @@ from .textures import CpuTexture
 
 logger = logging.getLogger("gsrain")
 WindowBackend = Literal["auto", "opengl", "opengl-tiles", "opengl-quads", "cpu"]
-_STAND_IN_GAUSSIANS = 1_000_000  # larger scenes wait for the CPU kernels: software OpenGL would take minutes
+_STAND_IN_GAUSSIANS = 1_500_000  # larger scenes wait for the CPU kernels: software OpenGL would take minutes
 _LOADING_S = 10.0  # time to load cached kernels on a busy machine; after it, they are assumed to need compiling
 _UPLOAD_S = 0.01  # time per frame for uploading slices of a scene
 _MIRROR_EVERY = 3  # pictures of reduced quality that share a mirror image

@@ -54,7 +54,7 @@ FORMATS = (
         "level 1 is written: 24 bytes per Gaussian plus its harmonics",
         2,
     ),
-    Format(".sog", read_sog, write_sog, "PlayCanvas' images in a zip file; version 2 is written, in Morton order"),
+    Format(".sog", read_sog, write_sog, "PlayCanvas' images in a zip file; version 2 is written"),
     Format(
         ".glb",
         read_glb,

@@ -29,6 +29,7 @@ _UNSEEN = 4.0  # factor on the cells of surfaces that the front camera does not 
 _FILLED = 4  # minimum number of cells of a surface whose gaps another Gaussian fills, in its middle
 _FILLING_SPREAD = 0.25  # in widths of the surface
 _FILLING_SIZE = 0.125  # of its quad, which is one of the mesh, too
+_FILLING_DEPTH_M = 0.002  # behind the cells: seen from ahead, all centers of a surface have one depth
 _CONTRAST = 0.05  # minimum difference of display color at an edge
 _SAME_M = 1e-3  # corners nearer than this are one
 
@@ -105,10 +106,11 @@ def refined(quads: Quads, line: CameraLine, edge_px: float) -> Quads:
 
 
 def _fill_gaps(quads: Quads, rows: Int64[np.ndarray, " m"]) -> None:
-    """Make quads wide Gaussians in their middle, of small quads, which are part of the mesh as well."""
+    """Make quads wide Gaussians behind their middle, of small quads, which are part of the mesh as well."""
     corners = quads.corners[rows]
     middle = corners.mean(axis=1, keepdims=True)
-    quads.corners[rows] = middle + np.float32(_FILLING_SIZE) * (corners - middle)
+    behind = (_FILLING_DEPTH_M * geometric_normals(corners.astype(np.float64)))[:, None]
+    quads.corners[rows] = middle + np.float32(_FILLING_SIZE) * (corners - middle) - behind.astype(np.float32)
     quads.spread[rows], quads.shift[rows] = _FILLING_SPREAD / _FILLING_SIZE, 0
 
 

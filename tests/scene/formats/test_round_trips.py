@@ -17,6 +17,7 @@ from gsrain_engine.scene.files import SceneFormatError
 from gsrain_engine.scene.formats.lod_file import read_lod_tree, write_lod_tree
 from gsrain_engine.scene.formats.ply import write_ply
 from gsrain_engine.scene.formats.registry import read_gaussians, write_gaussians
+from gsrain_engine.scene.formats.sog_writer import sog_order
 from gsrain_engine.scene.formats.spz import encode_spz
 from gsrain_engine.scene.gaussians import SH_C0, Gaussians
 from gsrain_engine.scene.geometry import normalized
@@ -179,6 +180,19 @@ def test_a_sog_is_as_close_as_its_codes_allow(tmp_path: Path) -> None:
     shared = np.mean((after.sh[:, 1:] - before.sh[:, 1:]) ** 2) / np.mean(before.sh[:, 1:] ** 2)
     assert shared < 0.35
     assert np.count_nonzero(np.abs(after.sh - before.sh).max(axis=(1, 2)) < 0.01) > 1000  # those with their own entry
+
+
+def test_a_sog_has_gaussians_of_one_surface_together() -> None:
+    before = sample_gaussians(4000, 0)
+    assert np.array_equal(sog_order(before), morton_order(before))  # each is turned in its own way
+    two = before.quaternions[np.random.default_rng(1).integers(0, 2, 4000)]
+    walls = replace(before, quaternions=two, means=before.means * np.float32(4 / np.ptp(before.means)))
+    order = sog_order(walls)
+    assert sorted(order.tolist()) == [*range(4000)]
+    cells = np.floor(walls.means[order] / 4)
+    surfaces = np.concatenate([cells, walls.quaternions[order]], axis=1)
+    changes = np.count_nonzero((surfaces[1:] != surfaces[:-1]).any(axis=1))
+    assert changes == len(np.unique(surfaces, axis=0)) - 1
 
 
 def test_extreme_values_survive(tmp_path: Path) -> None:
