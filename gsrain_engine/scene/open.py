@@ -153,7 +153,7 @@ def street_fingerprint(name: Path | str = STREET) -> str:
     for source in (
         Path(lod_order.__file__),
         Path(lod_tree.__file__),
-        *sorted(Path(build.__file__).parent.glob("*.py")),
+        *sorted(each for each in Path(build.__file__).parent.iterdir() if each.suffix in (".py", ".npz")),
     ):
         digest.update(source.read_bytes())
     return digest.hexdigest()[:_HASH_DIGITS]

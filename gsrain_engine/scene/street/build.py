@@ -1,7 +1,7 @@
 """Assembly of the street: surfaces, baked daylight, Gaussians, tracks, camera rigs and parked vehicles."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -32,6 +32,7 @@ from .mesh import NEAREST_FIRST, Quads, geometric_normals, rotation_about_z
 from .night import Windows, bus_lamps, ego_lamps, lanterns, signal_lamps, truck_lamps, vehicle_lamps
 from .people import build_people, people_of, person_size
 from .refinement import ego_camera_line, refined, refined_vehicle, split_at_shadows
+from .sharpness import LEAD, color_factors, sharpened
 from .signals import build_signals, signal_heads
 from .trucks import build_parked_trucks, build_truck
 from .vegetation import build_furniture, build_sky, build_trees
@@ -110,20 +111,22 @@ def street_name(parameters: StreetParameters) -> str:
     return next((name for name, each in STREETS.items() if each == parameters), "street")
 
 
-def scene_of(surfaces: StreetSurfaces) -> Scene:
+def scene_of(surfaces: StreetSurfaces, *, sharp: bool = True) -> Scene:
+    """Street of Gaussians; unless `sharp` they have the colors of its surfaces."""
     _, rainy = LIGHT_OF[surfaces.layout.parameters.time_of_day]
     light, clouds = surfaces.light(), surfaces.light(rainy)
-    layers = tuple(_layer(name, quads, light, clouds) for name, quads in surfaces.layers.items())
     p = surfaces.layout.parameters
+    factors = color_factors(p) if sharp else {}
+    layers = tuple(_layer(name, quads, light, clouds, factors.get(name)) for name, quads in surfaces.layers.items())
     is_truck = p.lead == "truck"
     form = TRUCK_FORM if is_truck else CAR_FORMS[_LEAD_SHAPE]
     gaussians = quads_to_gaussians(surfaces.lead, surfaces.lead_light())
-    wet_sh = wet_colors(surfaces.lead, surfaces.lead_light(rainy))
+    wet_sh = sharpened(wet_colors(surfaces.lead, surfaces.lead_light(rainy)), factors.get(LEAD))
     lead = Actor(
         LEAD_ID,
         "truck" if is_truck else "car",
         (form.length, form.width, form.height),
-        gaussians,
+        replace(gaussians, sh=sharpened(gaussians.sh, factors.get(LEAD))),
         lead_track(p),
         wet_sh=wet_sh,
     )
@@ -136,11 +139,15 @@ def scene_of(surfaces: StreetSurfaces) -> Scene:
     )  # fmt: skip
 
 
-def _layer(name: str, quads: Quads, light: Illumination, clouds: Illumination) -> Layer:
+def _layer(
+    name: str, quads: Quads, light: Illumination, clouds: Illumination, factors: Float32[np.ndarray, " n"] | None
+) -> Layer:
     dry = arriving_light(quads, light)
     wet = dry if clouds.lighting is light.lighting else arriving_light(quads, clouds)
     kind = "sky" if name == "sky" else "background"
-    return Layer(name, quads_to_gaussians(quads, light, dry), kind=kind, wet_sh=wet_colors(quads, clouds, wet))
+    gaussians, wet_sh = quads_to_gaussians(quads, light, dry), wet_colors(quads, clouds, wet)
+    sharp = replace(gaussians, sh=sharpened(gaussians.sh, factors))
+    return Layer(name, sharp, kind=kind, wet_sh=sharpened(wet_sh, factors))
 
 
 def ego_track(p: StreetParameters) -> PoseTrack:

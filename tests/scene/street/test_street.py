@@ -53,7 +53,7 @@ def test_gaussians_are_sound_and_those_of_the_quads(street: Scene, surfaces: Str
     for each in street.members:
         assert_valid(each.gaussians)
         color = SH_C0 * each.gaussians.sh[:, 0] + 0.5
-        assert color.min() > -0.5 and color.max() < 1.6
+        assert color.min() > -0.5 and color.max() < 2
         assert len(each.gaussians)
     for layer in street.layers:  # Gaussian i is quad i
         np.testing.assert_array_equal(layer.gaussians.means, means_of(surfaces.layers[layer.name]))
@@ -62,7 +62,7 @@ def test_gaussians_are_sound_and_those_of_the_quads(street: Scene, surfaces: Str
 def test_the_road_is_flat_whole_and_marked_in_its_middle(street: Scene, surfaces: StreetSurfaces) -> None:
     p = surfaces.layout.parameters
     quads, road = surfaces.layers["road"], street.layers[0].gaussians
-    np.testing.assert_array_equal(road.means[:, 2], 0)
+    assert road.means[:, 2].max() == 0 and road.means[:, 2].min() > -0.003  # what fills gaps lies beneath
     np.testing.assert_allclose(np.abs(matrices_from_quaternions(road.quaternions)[:, 2, 2]), 1, atol=1e-5)
     assert (road.scales[:, 2] < 0.05 * road.scales[:, 1]).all()
     low, high = (end(quads.corners[..., :2], axis=1) for end in (np.min, np.max))
@@ -183,11 +183,9 @@ def test_a_long_street_is_lit_in_sections_as_in_one_piece(monkeypatch: pytest.Mo
     np.testing.assert_array_equal(in_sections, light.display_colors(chosen, chosen.centers))
 
 
-def test_chunks_of_quads_become_the_same_gaussians(
-    surfaces: StreetSurfaces, street: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_chunks_of_quads_become_the_same_gaussians(surfaces: StreetSurfaces, monkeypatch: pytest.MonkeyPatch) -> None:
+    expected = quads_to_gaussians(surfaces.layers[PARKED_CARS], surfaces.light())
     monkeypatch.setattr("gsrain_engine.scene.street.build._CHUNK", 1000)
-    (expected,) = (layer.gaussians for layer in street.layers if layer.name == PARKED_CARS)
     found = quads_to_gaussians(surfaces.layers[PARKED_CARS], surfaces.light())
     for array, same in zip(found.arrays, expected.arrays, strict=True):
         np.testing.assert_allclose(array, same, atol=1e-6)
