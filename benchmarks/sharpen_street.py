@@ -9,11 +9,14 @@ the mesh then, get `GAIN` times that.
 """
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float32, Int64
+from jaxtyping import Float, Float32, Int64
+from scipy.sparse import diags_array
+from scipy.sparse.linalg import LinearOperator, cg
 
 from benchmarks.street_sharpness import ego_views, mesh_picture
 from gsrain_engine.backends import open_renderer
@@ -26,10 +29,10 @@ from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.gaussians import SH_C0
 from gsrain_engine.scene.rig import rig_camera
 from gsrain_engine.scene.scene import Scene
-from gsrain_engine.scene.street.build import scene_of, street_surfaces
+from gsrain_engine.scene.street.build import LEAD_ID, scene_of, street_surfaces
 from gsrain_engine.scene.street.layout import STREETS
 from gsrain_engine.scene.street.mesh import rotation_about_z
-from gsrain_engine.scene.street.sharpness import LEAD, sharpness_file, write_color_factors
+from gsrain_engine.scene.street.sharpness import sharpness_file, write_color_factors
 
 GAIN = 1.6
 FRONT_VIEWS, OTHER_TIMES, FREE_VIEWS = 23, 12, 24
@@ -119,34 +122,19 @@ def with_edges(picture: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h 
     return total
 
 
-def conjugate_gradients(
-    apply: Callable[[Factors], Factors], right: Factors, inverse_diagonal: Float32[np.ndarray, "n 1"]
-) -> Factors:
-    """Solve a symmetric system with a diagonal preconditioner from zero (Hestenes and Stiefel 1952)."""
-    found, rest = np.zeros_like(right), right.copy()
-    step = inverse_diagonal * rest
-    size = float(np.vdot(rest, step))
-    for _ in range(ITERATIONS):
-        applied = apply(step)
-        length = np.float32(size / float(np.vdot(step, applied)))
-        found, rest = found + length * step, rest - length * applied
-        scaled = inverse_diagonal * rest
-        size, before = float(np.vdot(rest, scaled)), size
-        step = scaled + np.float32(size / before) * step
-    return found
-
-
 def find_factors(problem: PictureProblem) -> Float32[np.ndarray, " n"]:
     """Factors of all Gaussians of the scene's members."""
-    energy = (problem.colors**2).sum(axis=1, keepdims=True)
 
-    def apply(factors: Factors) -> Factors:
-        edges = [with_edges(each) for each in problem.pictures(factors)]
-        return problem.gathered(edges) + np.float32(PRIOR) * energy * factors
+    def applied(factors: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        edges = [with_edges(each) for each in problem.pictures(factors[:, None].astype(np.float32))]
+        return problem.gathered(edges)[:, 0] + np.float32(PRIOR) * energy * factors
 
-    right = problem.gathered([with_edges(each) for each in problem.missing])
-    diagonal = energy * (np.float32(1 + 3 * EDGE_WEIGHT) * problem.squares() + np.float32(PRIOR))
-    return 1 + np.float32(GAIN) * conjugate_gradients(apply, right, 1 / diagonal)[:, 0]
+    energy = (problem.colors**2).sum(axis=1)
+    right = problem.gathered([with_edges(each) for each in problem.missing])[:, 0]
+    diagonal = energy * (np.float32(1 + 3 * EDGE_WEIGHT) * problem.squares()[:, 0] + np.float32(PRIOR))
+    system: Any = LinearOperator((len(right), len(right)), applied)
+    change, _ = cg(system, right, rtol=0, maxiter=ITERATIONS, M=diags_array(1 / diagonal))
+    return (1 + GAIN * change).astype(np.float32)
 
 
 def main() -> None:
@@ -160,7 +148,7 @@ def main() -> None:
         weights = [1.0] * FRONT_VIEWS + [OTHER_WEIGHT] * (len(views) - FRONT_VIEWS)
         problem = PictureProblem(scene, views, [mesh_picture(mesh, view) for view in views], weights)
         factors = np.split(find_factors(problem), problem.ends[1:-1])
-        keys = [*surfaces.layers, LEAD]
+        keys = [*surfaces.layers, LEAD_ID]
         file = sharpness_file(STREETS[name])
         assert file is not None and len(keys) == len(factors)
         write_color_factors(file, dict(zip(keys, factors, strict=True)))

@@ -32,7 +32,7 @@ from .mesh import NEAREST_FIRST, Quads, geometric_normals, rotation_about_z
 from .night import Windows, bus_lamps, ego_lamps, lanterns, signal_lamps, truck_lamps, vehicle_lamps
 from .people import build_people, people_of, person_size
 from .refinement import ego_camera_line, refined, refined_vehicle, split_at_shadows
-from .sharpness import LEAD, color_factors, sharpened
+from .sharpness import color_factors, sharpened
 from .signals import build_signals, signal_heads
 from .trucks import build_parked_trucks, build_truck
 from .vegetation import build_furniture, build_sky, build_trees
@@ -121,12 +121,12 @@ def scene_of(surfaces: StreetSurfaces, *, sharp: bool = True) -> Scene:
     is_truck = p.lead == "truck"
     form = TRUCK_FORM if is_truck else CAR_FORMS[_LEAD_SHAPE]
     gaussians = quads_to_gaussians(surfaces.lead, surfaces.lead_light())
-    wet_sh = sharpened(wet_colors(surfaces.lead, surfaces.lead_light(rainy)), factors.get(LEAD))
+    wet_sh = sharpened(wet_colors(surfaces.lead, surfaces.lead_light(rainy)), factors.get(LEAD_ID))
     lead = Actor(
         LEAD_ID,
         "truck" if is_truck else "car",
         (form.length, form.width, form.height),
-        replace(gaussians, sh=sharpened(gaussians.sh, factors.get(LEAD))),
+        replace(gaussians, sh=sharpened(gaussians.sh, factors.get(LEAD_ID))),
         lead_track(p),
         wet_sh=wet_sh,
     )

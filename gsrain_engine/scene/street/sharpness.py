@@ -3,7 +3,7 @@
 A Gaussian fades toward the end of its cell, where its neighbors and what is behind it show through. Its color can make
 up for that: factors for which pictures along the drive have the least error from the mesh, also in the differences
 between neighboring pixels, are kept in files beside this module. They hold for every light, dry and wet. A change of
-the streets' geometry needs them anew: `python -m benchmarks.street_sharpness --fit street street:dusk`.
+the streets' geometry needs them anew: `python -m benchmarks.sharpen_street street street:dusk`.
 """
 
 from collections.abc import Mapping
@@ -21,9 +21,6 @@ STEPS = 32
 """Steps of a factor from one power of 2 to the next."""
 _LOWEST, _HIGHEST = 0.25, 2.0
 
-LEAD = "lead"
-"""Key of the lead vehicle's factors; other keys are names of layers."""
-
 
 def sharpness_file(parameters: StreetParameters) -> Path | None:
     """File of the built-in street with this geometry, which does not depend on the time of day."""
@@ -34,9 +31,9 @@ def sharpness_file(parameters: StreetParameters) -> Path | None:
 
 
 def color_factors(parameters: StreetParameters) -> Mapping[str, Float32[np.ndarray, " n"]]:
-    """Factors by layer; none for other streets than the built-in ones."""
+    """Factors by layer and `LEAD_ID`; none for other streets than the built-in ones."""
     file = sharpness_file(parameters)
-    if file is None or not file.exists():
+    if file is None:
         return {}
     with np.load(file, allow_pickle=False) as steps:
         return {key: np.exp2(steps[key].astype(np.float32) / STEPS) for key in steps.files}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from benchmarks.sharpen_street import PictureProblem, conjugate_gradients, with_edges
+from benchmarks.sharpen_street import GAIN, PictureProblem, find_factors, with_edges
 from benchmarks.street_sharpness import ego_views, gradient_energy, mesh_picture
 from built_street import WHOLE, surfaces_of
 from gsrain_engine.backends import open_renderer
@@ -15,10 +15,9 @@ from gsrain_engine.rain.simulation import OVERCAST
 from gsrain_engine.render.draw import RenderView, draw_view
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.gaussians import SH_C0
-from gsrain_engine.scene.street.build import scene_of, street_surfaces
+from gsrain_engine.scene.street.build import LEAD_ID, scene_of, street_surfaces
 from gsrain_engine.scene.street.layout import STREETS
 from gsrain_engine.scene.street.sharpness import (
-    LEAD,
     STEPS,
     color_factors,
     sharpened,
@@ -32,7 +31,7 @@ from small_scene import small_scene
 def test_factors_are_those_of_the_streets_gaussians(name: str) -> None:
     surfaces = surfaces_of(WHOLE) if name == "street" else street_surfaces(STREETS[name])
     factors = color_factors(STREETS[name])
-    sizes = {**{key: len(quads) for key, quads in surfaces.layers.items()}, LEAD: len(surfaces.lead)}
+    sizes = {**{key: len(quads) for key, quads in surfaces.layers.items()}, LEAD_ID: len(surfaces.lead)}
     assert {key: len(each) for key, each in factors.items()} == sizes
     assert all(each.min() >= 0.25 and each.max() <= 2 for each in factors.values())
     assert np.std(factors["houses"]) > 0.01
@@ -66,15 +65,6 @@ def test_colors_are_multiplied_and_what_changes_with_direction_stays() -> None:
     assert np.array_equal(sharpened(sh, factors[:4]), sh)  # of other Gaussians
 
 
-def test_conjugate_gradients_solve_a_system() -> None:
-    rng = np.random.default_rng(4)
-    root = rng.normal(size=(8, 8))
-    matrix = (root @ root.T + 8 * np.eye(8)).astype(np.float32)
-    right = rng.normal(size=(8, 1)).astype(np.float32)
-    found = conjugate_gradients(lambda x: matrix @ x, right, (1 / np.diag(matrix))[:, None].astype(np.float32))
-    np.testing.assert_allclose(matrix @ found, right, atol=1e-3)
-
-
 def test_pictures_and_their_transpose_agree() -> None:
     scene = small_scene()
     pose = look_at(np.array([0.0, 0, 1.5]), np.array([20.0, 0, 1.5]), np.array([0, 0, 1.0]))
@@ -87,6 +77,11 @@ def test_pictures_and_their_transpose_agree() -> None:
     assert np.abs(drawn).max() > 0.1
     assert np.vdot(drawn, picture) == pytest.approx(np.vdot(factors, problem.gathered([picture])), rel=1e-3)
     assert np.vdot(with_edges(drawn), picture) == pytest.approx(np.vdot(drawn, with_edges(picture)), rel=1e-4)
+    problem.missing = [0.2 * drawn]
+    change = find_factors(problem)[:, None] - 1
+    assert np.linalg.norm(0.2 * drawn - problem.pictures(change / np.float32(GAIN))[0]) < 0.2 * np.linalg.norm(
+        0.2 * drawn
+    )
 
 
 def test_pictures_are_as_sharp_as_those_of_the_mesh() -> None:
