@@ -27,6 +27,8 @@ The street has 0.007 and 0.08 by night, 0.10 and 0.25 under clouds, 0.16 and 0.6
 
 BRIGHT = 0.8
 """Smallest value of a lamp's brightest channel; one over white in the display is clipped there."""
+_GLOW = BRIGHT / 3
+"""Gaussians of this brightness around bright ones are of the same surface, and count to its extent."""
 _GAP_M = 0.25  # between Gaussians of a lamp
 _LARGEST_M = 0.9  # extent of a lamp: larger clusters are windows, signs and lit walls
 _SMALLEST_M2 = 2e-4  # projected area
@@ -175,23 +177,25 @@ def _quantiles(
 
 
 def _clusters(surfaces: _Surfaces) -> list[Int64[np.ndarray, " m"]]:
-    """Rows of the Gaussians of each lamp: bright ones that touch, of a small extent in all."""
-    bright = np.flatnonzero((surfaces.light.max(axis=1) >= BRIGHT) & (surfaces.opacities >= _OPAQUE))
-    bright = bright[surfaces.widths_m[bright] < _LARGEST_M / 2]
-    if not len(bright):
+    """Rows of the bright Gaussians of each lamp, which touch, with those that glow around them, in a small extent."""
+    brightness = surfaces.light.max(axis=1)
+    glowing = np.flatnonzero((brightness >= _GLOW) & (surfaces.opacities >= _OPAQUE))
+    glowing = glowing[surfaces.widths_m[glowing] < _LARGEST_M / 2]
+    if not len(glowing):
         return []
-    places = surfaces.means_m[bright]
+    places = surfaces.means_m[glowing]
     pairs = scipy.spatial.cKDTree(places).query_pairs(_GAP_M, output_type="ndarray")
-    graph = scipy.sparse.coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(bright),) * 2)
+    graph = scipy.sparse.coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(glowing),) * 2)
     count, labels = scipy.sparse.csgraph.connected_components(graph, directed=False)
     order = np.argsort(labels, kind="stable")
     found: list[Int64[np.ndarray, " m"]] = []
-    for rows in np.split(bright[order], np.searchsorted(labels[order], np.arange(1, count))):
+    for rows in np.split(glowing[order], np.searchsorted(labels[order], np.arange(1, count))):
         extent = np.ptp(surfaces.means_m[rows], axis=0) + 2 * float(surfaces.widths_m[rows].max())
-        if np.linalg.norm(extent) <= _LARGEST_M and surfaces.areas_m2[rows].sum() >= _SMALLEST_M2:
-            found.append(rows)
-    brightness = [-float(surfaces.areas_m2[rows] @ surfaces.light[rows].max(axis=1)) for rows in found]
-    return [found[k] for k in np.argsort(brightness, kind="stable")[:_MAX_CLUSTERS]]
+        bright = rows[brightness[rows] >= BRIGHT]
+        if np.linalg.norm(extent) <= _LARGEST_M and surfaces.areas_m2[bright].sum() >= _SMALLEST_M2:
+            found.append(bright)
+    strength = [-float(surfaces.areas_m2[rows] @ brightness[rows]) for rows in found]
+    return [found[k] for k in np.argsort(strength, kind="stable")[:_MAX_CLUSTERS]]
 
 
 class _Source(NamedTuple):
