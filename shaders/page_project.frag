@@ -21,9 +21,8 @@ uniform vec3 display_color;
 #include "common_spherical_harmonics.glsl"
 #include "common_srgb.glsl"
 #include "common_medium.glsl"
-uniform sampler2D means_low, means_high, scales, quaternions, base, labels, centroids, wet_base, wet_labels, wet_centroids;
+uniform sampler2D means, scales, quaternions, base, labels, centroids, wet_base, wet_labels, wet_centroids;
 uniform sampler2D codebooks;  // 256 columns; rows: scales, base, others, and base and others of the wet colors
-uniform vec3 means_minimum, means_maximum;
 uniform int coefficients, wet_coefficients;
 uniform mat4 object_to_camera;
 uniform float wetness;
@@ -110,10 +109,8 @@ void main() {
         number = int(code & 0xFFFFFFu);
         own = ivec2(number % SPLAT_COLUMNS, number / SPLAT_COLUMNS);
     }
-    ivec2 size = textureSize(means_low, 0), at = ivec2(number % size.x, number / size.x);
-    vec3 steps = 255.0 * texelFetch(means_low, at, 0).rgb + 65280.0 * texelFetch(means_high, at, 0).rgb;
-    vec3 logarithm = mix(means_minimum, means_maximum, steps / 65535.0);
-    vec3 mean = sign(logarithm) * (exp(abs(logarithm)) - 1.0);
+    ivec2 size = textureSize(base, 0), at = ivec2(number % size.x, number / size.x);
+    vec3 mean = texelFetch(means, own, 0).xyz;
     mat4 to_camera = object_to_camera;
     int actor = 0;
     if (has_actors) {

@@ -10,7 +10,7 @@ let ground = null, mirrorImages = null;
 async function openGround(files) {
   const {map} = settings;
   if (!map) return null;
-  const pixels = pixelsOf(await imageTexture(files["ground.webp"])), cells = map.rows * map.columns, [film, standing] = [new Uint8Array(cells), new Uint8Array(cells)];
+  const pixels = await pixelsOfFile(files["ground.webp"]), cells = map.rows * map.columns, [film, standing] = [new Uint8Array(cells), new Uint8Array(cells)];
   const heights = new Float32Array(cells);
   for (let k = 0; k < cells; ++k) {
     heights[k] = map.lowest + map.step * (pixels[4 * k] + 256 * pixels[4 * k + 1]);

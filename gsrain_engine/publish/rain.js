@@ -362,7 +362,8 @@ class StreakRows {
   }
 }
 
-// Numbers of all Gaussians, farthest first: by two stable counting passes over 22 bits of the depth, which is positive.
+// Numbers of all Gaussians, farthest first: by two stable counting passes over 22 bits of the depth, which is positive. Of
+// equal depths, the first is the nearest, as on the desktop.
 // `fixed` are positions in the world, those of `streaks` follow them; what is nearer than `near` is left out. `members` are
 // numbers of actors, whose positions move with their poses; 0 does not move.
 class DepthOrder {
@@ -403,7 +404,7 @@ class DepthOrder {
     value[0] = near;
     const first = bits[0];
     let n = 0;
-    for (let j = 0; j < all; ++j) {
+    for (let j = all - 1; j >= 0; --j) {
       const i = reflected ? reflected[j] : j, k = 3 * i;
       let depth = x * fixed[k] + y * fixed[k + 1] + z * fixed[k + 2] + constant;
       if (floors) depth += z * (level.ground - (members && members[i] ? level.actors[members[i] - 1] : floors[i]));

@@ -26,6 +26,12 @@ async function imageTexture(bytes) {  // the bytes of a lossless image, as they 
   return texture(gl.RGBA8, bitmap.width, bitmap.height, gl.RGBA, gl.UNSIGNED_BYTE, bitmap);
 }
 
+async function pixelsOfFile(bytes) {
+  const image = await imageTexture(bytes), pixels = pixelsOf(image);
+  gl.deleteTexture(image);
+  return pixels;
+}
+
 function target(...textures) {
   const made = gl.createFramebuffer();
   gl.bindFramebuffer(gl.FRAMEBUFFER, made);
@@ -155,7 +161,6 @@ async function open(report) {
   const image = (file, part, k) => part ? imageTexture(file(part.files[k])) : emptyTexture(), scenes = name => files[name];
   const books = [meta.scales, meta.sh0, meta.shN, wet.sh0, wet.shN].map(part => part ? part.codebook : new Array(256).fill(0));
   const textures = {
-    means_low: await image(scenes, meta.means, 0), means_high: await image(scenes, meta.means, 1),
     scales: await image(scenes, meta.scales, 0), quaternions: await image(scenes, meta.quats, 0), base: await image(scenes, meta.sh0, 0),
     centroids: await image(scenes, meta.shN, 0), labels: await image(scenes, meta.shN, 1),
     wet_base: await image(wetFile, wet.sh0, 0), wet_centroids: await image(wetFile, wet.shN, 0),
@@ -170,18 +175,21 @@ async function open(report) {
     scene.poses = {all: poses, steps: poses.length / settings.actors / 12};
   } else textures.actors = textures.poses = emptyTexture();
   const harmonics = part => part ? [1, 4, 9, 16][part.bands] : 1;
-  const count = meta.count, {mins, maxs} = meta.means;
-  Object.assign(scene, {count, textures, means_minimum: mins, means_maximum: maxs, coefficients: harmonics(meta.shN), wet_coefficients: harmonics(wet.shN)});
-  const low = pixelsOf(textures.means_low), high = pixelsOf(textures.means_high), fixed = new Float32Array(3 * count);
+  const count = meta.count, {mins, maxs} = meta.means, parts = settings.meanParts;
+  Object.assign(scene, {count, textures, coefficients: harmonics(meta.shN), wet_coefficients: harmonics(wet.shN)});
+  const [low, high, part] = await Promise.all([files[meta.means.files[0]], files[meta.means.files[1]], all["means.webp"]].map(pixelsOfFile));
+  const means = new Float32Array(4 * COLUMNS * rowsFor(count, COLUMNS)), fixed = new Float32Array(3 * count);
   const {rotation, origin} = settings.toWorld, place = [0, 0, 0];
   for (let i = 0; i < count; ++i) {
     for (let k = 0; k < 3; ++k) {
-      const value = mins[k] + (maxs[k] - mins[k]) * (low[4 * i + k] + 256 * high[4 * i + k]) / 65535;
-      place[k] = Math.sign(value) * Math.expm1(Math.abs(value));
+      const steps = low[4 * i + k] + 256 * high[4 * i + k] + (part[4 * i + k] + 0.5) / parts[k] - 0.5;
+      const value = mins[k] + (maxs[k] - mins[k]) * steps / 65535;
+      means[4 * i + k] = place[k] = Math.sign(value) * Math.expm1(Math.abs(value));
     }
     for (let k = 0; k < 3; ++k)
       fixed[3 * i + k] = rotation[k][0] * place[0] + rotation[k][1] * place[1] + rotation[k][2] * place[2] + origin[k];
   }
+  textures.means = texture(gl.RGBA32F, COLUMNS, rowsFor(count, COLUMNS), gl.RGBA, gl.FLOAT, means);
   const ground = await openGround(all), mirror = await openMirror(all, fixed, textures), impacts = new Float32Array(all.impacts.buffer);
   await report("Preparing the graphics card");
   worker = new Worker(URL.createObjectURL(new Blob([element("rain-script").textContent], {type: "text/javascript"})));

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from browser import CHROMIUM, browser
 from gsrain_engine.backends import open_renderer
 from gsrain_engine.publish.page import base85, write_page
-from gsrain_engine.publish.page_scene import WET_STEPS, page_scene, wet_files
+from gsrain_engine.publish.page_scene import CODES, WET_STEPS, finer_means, page_scene, wet_files
 from gsrain_engine.publish.rain_states import rain_states
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import OVERCAST, RainSimulation
@@ -23,8 +23,8 @@ from gsrain_engine.render.sequence import FrameSequence
 from gsrain_engine.scene.camera import look_at
 from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.formats.sog import read_sog
-from gsrain_engine.scene.formats.sog_writer import coded
-from gsrain_engine.scene.gaussians import SH_C0, sh_from_color
+from gsrain_engine.scene.formats.sog_writer import coded, mean_steps
+from gsrain_engine.scene.gaussians import SH_C0, Gaussians, sh_from_color
 from gsrain_engine.scene.geometry import quaternions_from_matrices
 from gsrain_engine.scene.ground_water import GroundWater
 from gsrain_engine.scene.scene import Actor, Layer, PoseTrack, Scene
@@ -254,9 +254,29 @@ def test_wet_colors_keep_their_values():
     files = wet_files(dry_sh, wet_sh)
     meta = json.loads(files["meta.json"])["sh0"]
     differences = np.asarray(Image.open(io.BytesIO(files["sh0.webp"])).convert("RGB")).reshape(-1, 3)[:500]
-    steps = (differences + np.array(meta["dry_steps"])[coded(dry_sh[:, 0])[1]]) % 256
+    steps = (differences + np.array(meta["dry_steps"])[coded(dry_sh[:, 0], CODES)[1]]) % 256
     found = SH_C0 * np.array(meta["codebook"])[steps] + 0.5
     assert np.abs(found - wet[:, 0]).max() < 0.501 / WET_STEPS
+
+
+def test_means_are_as_fine_as_gaussians_are_small():
+    """Far from the origin, a step of a SOG file is as wide as a small Gaussian; along the short axes it is not."""
+    rng = np.random.default_rng(4)
+    count = 2000
+    means = rng.uniform((200, -2, -1), (300, 2, 1), (count, 3)).astype(np.float32)
+    means[:2, 0] = -900, 900
+    scales = np.full((count, 3), 0.1, np.float32)
+    turns, opaque = np.tile(np.float32([1, 0, 0, 0]), (count, 1)), np.full(count, 0.9, np.float32)
+    gaussians = Gaussians(means, scales, turns, opaque, sh_from_color(np.full((count, 3), 0.5, np.float32)))
+    parts, image = finer_means(gaussians)
+    exact, mins, maxs = mean_steps(means)
+    rows = np.asarray(Image.open(io.BytesIO(image)).convert("RGB")).reshape(-1, 3)[:count]
+    steps = np.rint(exact) + (rows + 0.5) / parts - 0.5
+    logarithms = mins + (maxs - mins) * steps / 65535
+    found = np.sign(logarithms) * np.expm1(np.abs(logarithms))
+    assert parts == [8, 1, 1]
+    assert np.abs(found - means)[2:].max() < 0.05 * 0.1
+    assert np.abs(found - means)[2:].max() > 0.4 * 0.05 * 0.1
 
 
 def test_actors_keep_their_numbers_and_poses(tmp_path):
