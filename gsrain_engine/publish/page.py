@@ -153,7 +153,7 @@ def page_html(contents: PageContents) -> str:
 def _archive(contents: PageContents) -> bytes:
     """All files of a page in a zip file; images are compressed already."""
     scene, roofs, ground, mirror = contents.scene, contents.rain.roofs, contents.ground, contents.mirror
-    files = {"scene.sog": scene.sog, "means.webp": scene.means}
+    files = {"scene.sog": scene.sog, "mean_parts.webp": scene.mean_parts}
     files |= {f"wet/{name}": file for name, file in (scene.wet_colors or {}).items()}
     files |= {} if scene.actors is None else {"actors.webp": scene.actors, "poses": scene.poses.tobytes()}
     files |= {"impacts": contents.rain.impacts.tobytes()}
@@ -185,7 +185,7 @@ def _settings(contents: PageContents) -> dict[str, Any]:
         "near": NEAR_M,
         "toWorld": {"rotation": file_to_world[:3, :3].tolist(), "origin": file_to_world[:3, 3].tolist()},
         "antialiased": contents.scene.antialiased,
-        "meanParts": contents.scene.mean_parts,
+        "parts": contents.scene.parts,
         "hasWet": contents.scene.wet_colors is not None,
         "map": None if contents.ground is None else contents.ground.settings,
         "mirror": None if contents.mirror is None else contents.mirror.settings,

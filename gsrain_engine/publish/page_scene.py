@@ -46,9 +46,9 @@ class PageScene(NamedTuple):
 
     sog: bytes
     """The scene as it is lit, in the frame of single-file scenes; actors where they are first."""
-    mean_parts: list[int]
+    parts: list[int]
     """Parts of a step of the SOG file's means, for each axis."""
-    means: bytes
+    mean_parts: bytes
     """Lossless image with a pixel for each Gaussian: number of the part in which its mean is, for each axis."""
     wet_colors: dict[str, bytes] | None
     """Files with the colors of the same Gaussians in the same order when soaked (`wet_files`); None without any."""
@@ -92,7 +92,7 @@ def page_scene(
     dry, labels, water = _merged(scene, items, 0.0, mirror=mirror)
     order = sog_order(dry)
     sog = sog_bytes(dry)
-    parts, means = finer_means(dry.take(order))
+    parts, mean_parts = finer_means(dry.take(order))
     wet = None
     if scene.has_wet_colors:
         yield Progress(0.5, "Compressing the wet colors")
@@ -102,7 +102,7 @@ def page_scene(
     below = np.stack(floors) if floors else np.zeros((0, len(times_s)), np.float32)
     actors = _label_image(labels[order]) if poses else None
     shares = None if water is None else lossless_image(water[order], COLUMNS)
-    return PageScene(sog, parts, means, wet, actors, moved, below, shares, dry.antialiased)
+    return PageScene(sog, parts, mean_parts, wet, actors, moved, below, shares, dry.antialiased)
 
 
 def _moves(places: Sequence[DrawItem | None], first: int) -> Float32[np.ndarray, "steps 3 4"]:
@@ -151,7 +151,8 @@ def finer_means(gaussians: Gaussians) -> tuple[list[int], bytes]:
     """Parts of the steps of a SOG file's means per axis, and the image with the parts of Gaussians in its order.
 
     A step grows with the distance from the scene's origin, and its rounding changes the order in depth of Gaussians on
-    one surface. A part is at most `_STEP` wide for the median Gaussian: the street's steps along the drive are divided.
+    one surface. Up to 16 parts a step, they are at most `_STEP` wide for the median Gaussian: the street's steps along
+    the drive have 8.
     """
     exact, mins, maxs = mean_steps(gaussians.means)
     widths = np.sqrt(np.prod(np.sort(gaussians.scales, axis=1)[:, 1:], axis=1))

@@ -175,9 +175,9 @@ async function open(report) {
     scene.poses = {all: poses, steps: poses.length / settings.actors / 12};
   } else textures.actors = textures.poses = emptyTexture();
   const harmonics = part => part ? [1, 4, 9, 16][part.bands] : 1;
-  const count = meta.count, {mins, maxs} = meta.means, parts = settings.meanParts;
+  const count = meta.count, {mins, maxs} = meta.means, {parts} = settings;
   Object.assign(scene, {count, textures, coefficients: harmonics(meta.shN), wet_coefficients: harmonics(wet.shN)});
-  const [low, high, part] = await Promise.all([files[meta.means.files[0]], files[meta.means.files[1]], all["means.webp"]].map(pixelsOfFile));
+  const [low, high, part] = await Promise.all([files[meta.means.files[0]], files[meta.means.files[1]], all["mean_parts.webp"]].map(pixelsOfFile));
   const means = new Float32Array(4 * COLUMNS * rowsFor(count, COLUMNS)), fixed = new Float32Array(3 * count);
   const {rotation, origin} = settings.toWorld, place = [0, 0, 0];
   for (let i = 0; i < count; ++i) {
