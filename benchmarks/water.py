@@ -22,12 +22,13 @@ import numpy as np
 
 from gsrain_engine.backends import open_renderer
 from gsrain_engine.editor.viewport.camera import default_path
+from gsrain_engine.rain.frame import SkyLight
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.render.camera_optics import CameraOptics
+from gsrain_engine.render.draw import RenderView
 from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.render.sequence import FrameSequence
-from gsrain_engine.render.sky_color import SkyColor
 from gsrain_engine.scene.open import load_drawable_scene
 from gsrain_engine.water.glass import CameraMotion
 
@@ -89,8 +90,10 @@ def shortest_ms(
                 with clock.measured(kind):
                     image = sequence.image(renderer, number, sky)
             for kind, (sequence, optics) in behind.items():
+                shot = sequence.shot(number)  # which a picture without glass needs, too
+                light = sky.at(sequence.rainfall.overcast_at(shot.time_s))
                 with clock.measured(kind):
-                    through_glass(renderer, sequence, optics, number, sky, image)
+                    through_glass(renderer, sequence, optics, shot, light, image)
     return {kind: each[:, 1:] for kind, each in clock.shortest.items()}
 
 
@@ -113,18 +116,21 @@ class Clock:
 
 
 def through_glass(
-    renderer: Renderer, sequence: FrameSequence, optics: CameraOptics, number: int, sky: SkyColor, image: np.ndarray
+    renderer: Renderer,
+    sequence: FrameSequence,
+    optics: CameraOptics,
+    shot: RenderView,
+    sky: SkyLight,
+    image: np.ndarray,
 ) -> np.ndarray:
     """All that glass adds to a frame: water on it up to its time, the view behind drops, and the picture through it."""
-    shot = sequence.shot(number)
 
     def past(time_s: float) -> CameraMotion:
         then = sequence.shot_at(max(time_s, 0.0))
         velocity = np.zeros(3) if then.velocity_m_s is None else then.velocity_m_s
         return CameraMotion(then.camera.camera_to_world[:3, :3], velocity, then.camera.position)
 
-    light = sky.at(sequence.rainfall.overcast_at(shot.time_s))
-    glass = optics.glass_view(renderer, sequence.scene, sequence.rainfall, light, shot, past=past)
+    glass = optics.glass_view(renderer, sequence.scene, sequence.rainfall, sky, shot, past=past)
     assert glass is not None
     return glass.picture(image)
 

@@ -22,10 +22,9 @@ from .draw import LodSample, RenderView, draw_view, ego_view
 from .renderer import Renderer
 
 WIDE_SHARE = 1 / 32
-"""Share of the Gaussians in the wide view behind the glass. Against all of them, drops in pictures of the street have
-39 to 46 dB by day, and 35 to 46 dB at dusk."""
+"""Share of the Gaussians in the wide view behind the glass (docs/physics.md, section 18)."""
 
-WIDE_PX2 = 0.5
+WIDE_PX2 = 1.0
 """Area of the wide view, in its pixels, below which fewer Gaussians are drawn."""
 
 
@@ -121,7 +120,7 @@ class CameraOptics:
         drops, film_m, blade_rad = np.zeros((0, 10)), np.zeros((1, 1), np.float32), None
         if is_wet:
             known = self._water.get(camera)
-            is_same = known is not None and (known[0].rain, known[1].pane.key) == (rain, pane.key)
+            is_same = known is not None and known[0].rain == rain and known[1].pane.key == pane.key
             if known is None or not is_same or known[0].weather is not rainfall.weather:
                 known = self._water[camera] = rainfall, glass_history(pane, rainfall, past)
             history = known[1]

@@ -282,8 +282,9 @@ def subset_items(parts: Sequence[DrawItem], thinning: Thinning | None, camera: C
         return parts
     if isinstance(thinning, LodCut):
         thinning = thinning.without_hidden(parts, camera)
-    items = [item for part in parts for item in thinning.items(part, camera)]
-    return thinning.join(items, camera) if isinstance(thinning, LodSample) else items
+    if isinstance(thinning, LodSample):
+        return thinning.join(parts, camera)
+    return [item for part in parts for item in thinning.items(part, camera)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -376,16 +377,31 @@ class LodSample:
 
     def items(self, part: DrawItem, camera: Camera) -> Sequence[DrawItem]:
         """Replace a part by its sample."""
-        rows, gaussians = _sampled(part.gaussians, self.share)
-        marks = ((mask and mask.take(rows)) for mask in (part.left_out, part.selected))
-        wet_sh = None if part.wet_sh is None else _rows_of(IdentityKey(part.wet_sh), IdentityKey(rows))
-        left_out, selected = marks
-        return [part._replace(gaussians=gaussians, wet_sh=wet_sh, left_out=left_out, selected=selected, tree=None)]
+        return self.join([part], camera)
 
-    def join(self, items: Sequence[DrawItem], camera: Camera) -> Sequence[DrawItem]:
-        """Join the samples of parts, and leave out small Gaussians."""
-        joined = joined_items(items)
-        return [self._thinned(item, camera) for item in joined] if self.least_px2 > 0 else joined
+    def join(self, parts: Sequence[DrawItem], camera: Camera) -> Sequence[DrawItem]:
+        """Replace parts by their samples, joined where they differ in nothing but their Gaussians.
+
+        Of few Gaussians, each item costs more than these.
+        """
+        groups: dict[object, list[DrawItem]] = {}
+        for number, part in enumerate(parts):
+            is_plain = part.left_out is part.selected is part.colors is part.to_world_ends is None
+            look = part.gaussians.antialiased, part.wet_sh is None, part.wetness, part.opacity
+            groups.setdefault((part.to_world.tobytes(), look) if is_plain else number, []).append(part)
+        samples = [self._sample(group) for group in groups.values()]
+        return [self._thinned(item, camera) for item in samples] if self.least_px2 > 0 else samples
+
+    def _sample(self, parts: Sequence[DrawItem]) -> DrawItem:
+        first, sets = parts[0], tuple(IdentityKey(part.gaussians) for part in parts)
+        wet_colors = tuple(None if part.wet_sh is None else IdentityKey(part.wet_sh) for part in parts)
+        gaussians, wet_sh = _joined_samples(sets, wet_colors, self.share)
+        item = first._replace(gaussians=gaussians, wet_sh=wet_sh, tree=None)
+        if first.left_out is first.selected is None:
+            return item
+        rows, _ = _sampled(first.gaussians, self.share)  # a part with marks is by itself
+        left_out, selected = ((mask and mask.take(rows)) for mask in (first.left_out, first.selected))
+        return item._replace(left_out=left_out, selected=selected)
 
     def _thinned(self, item: DrawItem, camera: Camera) -> DrawItem:
         c, g = camera, item.gaussians
@@ -400,48 +416,32 @@ _GROWN = 0.85
 """Part of the growth of a sample: with all of it, its areas add up to those of all Gaussians. These overlap more, so
 that it would hide more than they do. Found by the view behind drops on glass."""
 
+_HARMONICS = 4
+"""Coefficients of the colors of a sample: of degree 1. The others change drops in pictures of the street by less than
+one gray level (57 to 75 dB), and are most of what there is to read of a Gaussian."""
+
 
 @scene_cache(maxsize=64)
 def _sampled(gaussians: Gaussians, share: float) -> tuple[Int64[np.ndarray, " m"], Gaussians]:
     mask, growth = lod_sample(gaussians, share)
     rows = np.flatnonzero(mask)
     sample = gaussians.take(rows)
-    return rows, replace(sample, scales=sample.scales * np.float32(1 + _GROWN * (growth - 1)))
-
-
-def joined_items(items: Sequence[DrawItem]) -> list[DrawItem]:
-    """Join items that differ in nothing but their Gaussians: of few Gaussians, each item costs more than these."""
-    groups: dict[object, list[DrawItem]] = {}
-    for number, item in enumerate(items):
-        g, wet_sh = item.gaussians, item.wet_sh
-        is_plain = item.left_out is item.selected is item.colors is item.members is item.film is None
-        same = g.antialiased, g.sh.shape[1], wet_sh is None or wet_sh.shape[1], item.wetness, item.opacity, item.growth
-        can_join = is_plain and item.limit is None and item.to_world_ends is None
-        groups.setdefault((item.to_world.tobytes(), *same) if can_join else number, []).append(item)
-    found: list[DrawItem] = []
-    for first, *others in groups.values():
-        if others:
-            sets = [(IdentityKey(each.gaussians), IdentityKey(each.wet_sh)) for each in (first, *others)]
-            gaussians, wet_sh = _joined(*map(tuple, zip(*sets, strict=True)))
-            first = first._replace(gaussians=gaussians, wet_sh=wet_sh)
-        found.append(first)
-    return found
-
-
-@scene_cache(maxsize=16)
-def _joined(
-    sets: tuple[IdentityKey, ...], wet_colors: tuple[IdentityKey, ...]
-) -> tuple[Gaussians, Float32[np.ndarray, "n k 3"] | None]:
-    gaussians: list[Gaussians] = [each.of for each in sets]  # pyright: ignore[reportAssignmentType]
-    wet_sh: list[np.ndarray] = [each.of for each in wet_colors if each.of is not None]  # pyright: ignore[reportAssignmentType]
-    return Gaussians.concatenate(gaussians), np.concatenate(wet_sh) if wet_sh else None
+    scales = sample.scales * np.float32(1 + _GROWN * (growth - 1))
+    return rows, replace(sample, scales=scales, sh=np.ascontiguousarray(sample.sh[:, :_HARMONICS]))
 
 
 @scene_cache(maxsize=64)
-def _rows_of(array: IdentityKey, rows: IdentityKey) -> Float32[np.ndarray, "m k 3"]:
-    whole: np.ndarray = array.of  # pyright: ignore[reportAssignmentType]
-    chosen: np.ndarray = rows.of  # pyright: ignore[reportAssignmentType]
-    return whole[chosen]
+def _joined_samples(
+    sets: tuple[IdentityKey, ...], wet_colors: tuple[IdentityKey | None, ...], share: float
+) -> tuple[Gaussians, Float32[np.ndarray, "m k 3"] | None]:
+    """Samples of sets of Gaussians, one after the other, and their wet colors, if all have them."""
+    samples = [_sampled(each.of, share) for each in sets]  # pyright: ignore[reportArgumentType]
+    wet: list[Gaussians] = []
+    for (rows, sample), colors in zip(samples, wet_colors, strict=True):
+        if colors is not None:
+            wet_sh: np.ndarray = colors.of  # pyright: ignore[reportAssignmentType]
+            wet.append(replace(sample, sh=wet_sh[rows, :_HARMONICS]))
+    return Gaussians.concatenate([sample for _, sample in samples]), Gaussians.concatenate(wet).sh if wet else None
 
 
 def _shape(gaussians: Gaussians) -> tuple[int, int]:

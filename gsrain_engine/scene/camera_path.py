@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
 
+import cv2
 import numpy as np
 import scipy  # loads its submodules on first use: most scenes are opened without a camera path
 from jaxtyping import Float64
@@ -26,6 +27,36 @@ Interpolation = Literal["spline", "linear"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class _SegmentTurns:
+    """Rotations at single times, as a spline or slerp of SciPy gives them to 1e-14, in a tenth of its time."""
+
+    times_s: Float64[np.ndarray, " k"]
+    turns: Float64[np.ndarray, "k 3 3"]
+    """Rotations of the keyframes, from which each segment goes on."""
+    cubics: Float64[np.ndarray, "s 3 3"]
+    """Rotation vectors over the part 0..1 of a segment: coefficients of its first, second and third power."""
+
+    @classmethod
+    def of(cls, times_s: Float64[np.ndarray, " k"], rotations: Callable[..., Any]) -> "_SegmentTurns | None":
+        """Fit the cubics; None if one of them turns by more than half a turn, where rotation vectors jump."""
+        lengths, back = np.diff(times_s), rotations(times_s[:-1]).inv()
+        third, half, two_thirds, whole = (
+            (back * rotations(times_s[:-1] + part * lengths)).as_rotvec() for part in (1 / 3, 1 / 2, 2 / 3, 1)
+        )
+        first = 9 * third - 4.5 * two_thirds + whole
+        second = -22.5 * third + 18 * two_thirds - 4.5 * whole
+        cubics = np.stack([first, second, whole - first - second], axis=1)
+        is_cubic = np.allclose(cubics.swapaxes(1, 2) @ [1 / 2, 1 / 4, 1 / 8], half, atol=1e-9)
+        return cls(times_s, rotations(times_s).as_matrix(), cubics) if is_cubic else None
+
+    def at(self, time_s: float) -> Float64[np.ndarray, "3 3"]:
+        k = min(max(int(self.times_s.searchsorted(time_s, side="right")) - 1, 0), len(self.cubics) - 1)
+        part = (time_s - self.times_s[k]) / (self.times_s[k + 1] - self.times_s[k])
+        first, second, third = self.cubics[k]
+        return self.turns[k] @ cv2.Rodrigues(part * (first + part * (second + part * third)))[0]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class PathCurves:
     """Curves through two or more keyframes, valid only from the first to the last one, or to the seam of a loop."""
 
@@ -33,7 +64,13 @@ class PathCurves:
     """Positions at path times; a second argument of 1 gives the derivative."""
     rotations: Callable[..., Any]
     """SciPy's Rotation at path times."""
+    segment_turns: _SegmentTurns | None
     fields_of_view: Callable[..., Any]
+
+    def turn(self, time_s: float) -> Float64[np.ndarray, "3 3"]:
+        """Rotation at a path time."""
+        segments = self.segment_turns
+        return self.rotations(time_s).as_matrix() if segments is None else segments.at(time_s)
 
     @classmethod
     def through(
@@ -60,9 +97,11 @@ class PathCurves:
         splines, turning = scipy.interpolate, scipy.spatial.transform
         rotations = turning.Rotation.from_quat(quaternions_wxyz[:, [1, 2, 3, 0]])
         if interpolation == "linear":
+            turns = turning.Slerp(times_s, rotations)
             return cls(
                 splines.make_interp_spline(times_s, positions, k=1),
-                turning.Slerp(times_s, rotations),
+                turns,
+                _SegmentTurns.of(times_s, turns),
                 splines.make_interp_spline(times_s, fields_of_view, k=1),
             )
         try:
@@ -73,6 +112,7 @@ class PathCurves:
         return cls(
             splines.CubicSpline(times_s, positions, bc_type="natural"),
             turns,
+            _SegmentTurns.of(times_s, turns),
             splines.PchipInterpolator(times_s, fields_of_view),
         )
 
@@ -159,7 +199,7 @@ class CameraPath:
             camera_to_world[:3, 3] = self.positions[0]
             fov = float(self.vertical_fov_deg[0])
         else:
-            camera_to_world[:3, :3] = self._curves.rotations(t).as_matrix()
+            camera_to_world[:3, :3] = self._curves.turn(t)
             camera_to_world[:3, 3] = self._curves.positions(t)
             fov = float(self._curves.fields_of_view(t))
         camera = Camera.from_fov(width, height, fov, np.linalg.inv(camera_to_world))

@@ -15,12 +15,15 @@ def normalized(quaternions: Float[np.ndarray, "*n 4"]) -> Float[np.ndarray, "*n 
 
 def matrices_from_quaternions(quaternions_wxyz: Float[np.ndarray, "*n 4"]) -> Float[np.ndarray, "*n 3 3"]:
     """Convert unit quaternions to rotation matrices that act on column vectors."""
-    w, x, y, z = np.moveaxis(quaternions_wxyz, -1, 0)
+    is_single = quaternions_wxyz.shape == (4,) and quaternions_wxyz.dtype == np.float64
+    w, x, y, z = quaternions_wxyz.tolist() if is_single else np.moveaxis(quaternions_wxyz, -1, 0)
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
+    if is_single:  # each pose of each actor needs one: five times as fast
+        return np.array(rows)
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 

@@ -347,12 +347,12 @@ class PoseTrack:
         """Object to scene at a time, or None while the object is absent."""
         if not len(self.times):
             return None
-        lower = max(int(np.searchsorted(self.times, time_s, side="right")) - 1, 0)
+        lower = max(int(self.times.searchsorted(time_s, side="right")) - 1, 0)
         upper = min(lower + 1, len(self.times) - 1)
         if not self.valid[lower]:
             return None
-        span = self.times[upper] - self.times[lower]
-        part = float(np.clip((time_s - self.times[lower]) / span, 0, 1)) if span > 0 else 0.0
+        first, last = float(self.times[lower]), float(self.times[upper])
+        part = min(max((time_s - first) / (last - first), 0.0), 1.0) if last > first else 0.0
         matrix = np.eye(4)
         quaternion = _slerp(self.quaternions_wxyz[lower], self.quaternions_wxyz[upper], part)
         matrix[:3, :3] = matrices_from_quaternions(quaternion)
@@ -595,13 +595,7 @@ class Scene:
         `selection` tints selected Gaussians; `wetness` (0..1) blends in the wet colors of members that have them, and
         `overcast` those of sky layers (None: `wetness`, too). During a readout around that time, actors move.
         """
-        sky, to_world, parts = wetness if overcast is None else overcast, self.scene_to_world, list[DrawItem]()
-        for each in self.members:
-            if each.visible:
-                own = sky if is_sky(each) else wetness
-                part = _part(each, to_world, time_s, selection=selection, wetness=own, readout_s=readout_s)
-                parts += [] if part is None else [part]
-        return parts
+        return list(_parts(self, time_s, wetness, wetness if overcast is None else overcast, readout_s, selection))
 
     def part(
         self,
@@ -618,12 +612,8 @@ class Scene:
 
     def ego_to_world(self, time_s: float) -> Float64[np.ndarray, "4 4"] | None:
         """Pose of the ego vehicle in meters, without scale; None if the scene has none at that time."""
-        pose = self.ego.pose(time_s) if self.ego is not None else None
-        if pose is None:
-            return None
-        matrix = self.scene_to_world @ pose
-        matrix[:3, :3] /= self.metres_per_unit
-        return matrix
+        pose = _ego_to_world(self, time_s)
+        return None if pose is None else pose.copy()
 
     def lamps_at(self, time_s: float, lamps: Sequence[Lamp] | None = None) -> LitLamps:
         """Lamps in the world at a time, by default the scene's own; those of hidden or absent vehicles are off."""
@@ -640,6 +630,30 @@ class Scene:
             if mount is not None:
                 placed.append((lamp, mount))
         return lit_lamps(placed)
+
+
+@scene_cache(maxsize=8)
+def _ego_to_world(scene: Scene, time_s: float) -> Float64[np.ndarray, "4 4"] | None:
+    pose = None if scene.ego is None else scene.ego.pose(time_s)
+    if pose is None:
+        return None
+    matrix = scene.scene_to_world @ pose
+    matrix[:3, :3] /= scene.metres_per_unit
+    return matrix
+
+
+@scene_cache(maxsize=2)
+def _parts(
+    scene: Scene, time_s: float, wetness: float, overcast: float, readout_s: float, selection: bool
+) -> tuple[DrawItem, ...]:
+    """Items of a scene at a time: those of a picture, of what glass and mirrors show in it, and of its depth."""
+    to_world, parts = scene.scene_to_world, list[DrawItem]()
+    for each in scene.members:
+        if each.visible:
+            own = overcast if is_sky(each) else wetness
+            part = _part(each, to_world, time_s, selection=selection, wetness=own, readout_s=readout_s)
+            parts += [] if part is None else [part]
+    return tuple(parts)
 
 
 def _part(
@@ -717,7 +731,7 @@ def _slerp(start: Float64[np.ndarray, "4"], end: Float64[np.ndarray, "4"], part:
     else:
         angle = np.arccos(cosine)
         mixed = (np.sin((1 - part) * angle) * start + np.sin(part * angle) * end) / np.sin(angle)
-    return mixed / np.linalg.norm(mixed)
+    return mixed / np.sqrt(mixed @ mixed)
 
 
 def grade_sh(sh: Float32[np.ndarray, "n k 3"], matrix: Float64[np.ndarray, "3 4"]) -> Float32[np.ndarray, "n k 3"]:

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Literal
 
 import numpy as np
@@ -26,7 +26,7 @@ _FORWARD_DEG = 60.0
 _EDGE_RAYS = 17
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Pane:
     """Rectangle of glass in camera coordinates (x right, y down, z forward), in meters."""
 
@@ -57,7 +57,7 @@ class Pane:
     def area_m2(self) -> float:
         return self.size_m[0] * self.size_m[1]
 
-    @property
+    @cached_property
     def key(self) -> tuple[object, ...]:
         """Value that is the same for equal panes."""
         axes = np.stack([self.origin_m, self.right, self.up, self.normal])

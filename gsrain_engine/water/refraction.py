@@ -30,7 +30,7 @@ WATER_INDEX = 1.333
 WIDE = 2.5
 """Tangents of the half angles of the wide view, relative to those of the picture."""
 
-WIDE_PX, _COARSE_PX = 160, 80
+WIDE_PX, _COARSE_PX = 160, (64, 80)
 """Width of the wide view for sharp drops, and for blurred ones."""
 
 _LARGE_M, _FINE = 0.003, 4.0  # radius of a large drop; least pixels of the wide view along what a cell shows; ours
@@ -84,7 +84,8 @@ def _wide_px(pane: Pane, lens: ThinLens, intrinsics: tuple[float, float, float, 
     camera = Camera(width, height, *intrinsics)
     depth_m = float(pane.origin_m @ pane.normal) / max(float(pane.normal[2]), 0.02)
     cells = camera.fx * _LARGE_M / depth_m / _cell_px(_circles_px(pane, lens, camera, _edges_px(camera)))
-    return _COARSE_PX if _SPREAD * wide_camera(camera, _COARSE_PX).fx / cells >= _FINE else WIDE_PX
+    fine = (each for each in _COARSE_PX if _SPREAD * wide_camera(camera, each).fx / cells >= _FINE)
+    return next(fine, WIDE_PX)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -688,23 +689,25 @@ def _composite(image, layer, cell, margin, made):
     bands = layer.shape[0] - 2 * margin + 1
     for part in numba.prange((bands + _BANDS - 1) // _BANDS):
         # Light, and the share of what is behind the glass, of each value of a row of pixels in the centers of a row of
-        # cells, and of the next one.
+        # cells, of the next one, and their differences.
         upper, upper_share = np.empty(values, np.float32), np.empty(values, np.float32)
         lower, lower_share = np.empty(values, np.float32), np.empty(values, np.float32)
-        row = margin - 1 + part * _BANDS
+        linear, row = np.empty(values, np.float32), margin - 1 + part * _BANDS
         covered = _fill_row(layer[row], cell, margin, lower, lower_share)
         for band in range(part * _BANDS, min((part + 1) * _BANDS, bands)):
             row = margin - 1 + band
             first, before = cell * (row - margin) + cell // 2, covered
             upper, upper_share, lower, lower_share = lower, lower_share, upper, upper_share
             covered = _fill_row(layer[row + 1], cell, margin, lower, lower_share)
+            more, more_share = lower - upper, lower_share - upper_share
             for y in range(max(first, 0), min(first + cell, height)):
                 pixels, target = image[y].reshape(values), made[y].reshape(values)
                 if max(covered, before) < np.float32(1e-4):
                     target[:] = pixels
                 else:
                     below = np.float32((y + 0.5) / cell - 0.5 + margin - row)
-                    _composite_row(pixels, upper, upper_share, lower, lower_share, below, target)
+                    _to_linear(pixels, linear)
+                    _composite_row(linear, upper, upper_share, more, more_share, below, target)
 
 
 @numba.njit(cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
@@ -733,26 +736,36 @@ def _fill_row(cells, cell, margin, light, share):
 
 @numba.njit(cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
 @no_type_check
-def _composite_row(pixels, upper, upper_share, lower, lower_share, below, target):
-    """Composite values of a row of pixels; sRGB to 0.13 levels, by polynomials instead of tables: LLVM vectorizes it.
+def _to_linear(levels, linear):
+    """Linear light of sRGB levels, to 0.13 levels, by a polynomial (least squares) instead of a table.
 
-    Those are for linear light of levels above 10, and for levels of the root of light above the knee (least squares).
+    LLVM vectorizes it. The polynomial is for levels above 10.
     """
-    for i in range(len(pixels)):
-        level = np.float32(pixels[i])
+    for i in range(len(levels)):
+        level = np.float32(levels[i])
         p = np.float32(-2.729071e-11) * level + np.float32(3.159277e-08)
         p = p * level + np.float32(8.642195e-06)
         p = p * level + np.float32(1.101198e-04)
         p = p * level + np.float32(1.063604e-03)
-        linear = p if level > np.float32(10.5) else level * np.float32(1 / (255 * 12.92))
-        share = upper_share[i] + below * (lower_share[i] - upper_share[i])
-        light = linear * share + (upper[i] + below * (lower[i] - upper[i]))
-        light = min(max(light, np.float32(0)), np.float32(1))
-        root = np.sqrt(light)
+        straight = level * np.float32(1 / (255 * 12.92))
+        linear[i] = p if straight > np.float32(10.5 / (255 * 12.92)) else straight  # slower if integers are compared
+
+
+@numba.njit(cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
+@no_type_check
+def _composite_row(behind, light, share, more_light, more_share, below, target):
+    """Composite linear light of a row of pixels, and convert it to sRGB levels, as `_to_linear`.
+
+    The polynomial is for levels of the root of light above the knee. Two loops take less time than one of both.
+    """
+    for i in range(len(behind)):
+        seen = behind[i] * (share[i] + below * more_share[i]) + (light[i] + below * more_light[i])
+        seen = min(max(seen, np.float32(0)), np.float32(1))
+        root = np.sqrt(seen)
         q = np.float32(131.8966) * root + np.float32(-413.9965)
         q = q * root + np.float32(518.0257)
         q = q * root + np.float32(-357.6934)
         q = q * root + np.float32(387.0783)
         q = q * root + np.float32(-10.22797 + 0.5)
-        rounded = q if light > np.float32(0.0031308) else light * np.float32(255 * 12.92) + np.float32(0.5)
+        rounded = q if seen > np.float32(0.0031308) else seen * np.float32(255 * 12.92) + np.float32(0.5)
         target[i] = np.uint8(np.int32(rounded))

@@ -147,7 +147,8 @@ def mask_words(mask: BitMask | None) -> UInt32[np.ndarray, " w"]:
 
 def eye_in_object(camera: Camera, part: DrawItem) -> Float64[np.ndarray, "3"]:
     """Center of projection in the part's own frame, in which its spherical harmonics are defined."""
-    return np.linalg.solve(part.to_world[:3, :3], camera.position - part.to_world[:3, 3])
+    turn = part.to_world[:3, :3]  # and scale
+    return (camera.position - part.to_world[:3, 3]) @ turn / (turn[:, 0] @ turn[:, 0])
 
 
 @numba.njit(inline="always", error_model="numpy")
