@@ -62,6 +62,22 @@ def test_a_sample_of_gaussians_in_file_order_covers_all_of_the_scene() -> None:
     np.testing.assert_array_equal(sample.left_out.flags, is_hidden)
 
 
+def test_samples_of_parts_are_one_item_unless_they_differ_in_more_than_their_gaussians() -> None:
+    parts = [DrawItem(random_gaussians(200, seed, degree=seed), np.eye(4)) for seed in range(3)]
+    wet = [part._replace(wet_sh=part.gaussians.sh[:, :1] + np.float32(1), wetness=1.0) for part in parts]
+    sample = LodSample(0.5)
+    (dry,), (soaked,) = sample.join(parts, CAMERA), sample.join(wet, CAMERA)
+    each = [sample.items(part, CAMERA)[0].gaussians for part in parts]
+    assert dry.wet_sh is None and dry.gaussians.sh.shape[1] == 4  # of degree 1
+    np.testing.assert_array_equal(dry.gaussians.means, np.concatenate([part.means for part in each]))
+    np.testing.assert_array_equal(soaked.wet_sh[:, 0], soaked.gaussians.sh[:, 0] + np.float32(1))
+    moved = np.eye(4)
+    moved[0, 3] = 1.0
+    hidden = BitMask.of(np.arange(200) < 100)
+    others = parts[0]._replace(to_world=moved), parts[0]._replace(opacity=0.5), parts[0]._replace(left_out=hidden)
+    assert [len(item.gaussians) for item in sample.join([*parts, *others, wet[0]], CAMERA)] == [300, 100, 100, 100, 100]
+
+
 def test_small_gaussians_of_a_sample_are_fewer_cover_as_much_and_do_not_pop_up() -> None:
     random = np.random.default_rng(5)
     count, least_px2 = 20_000, 0.5

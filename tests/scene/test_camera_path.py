@@ -62,6 +62,19 @@ def test_a_spline_goes_through_its_keys_and_is_scipys() -> None:
         assert path.velocity(t) == pytest.approx([0, 0, 0])
 
 
+@pytest.mark.parametrize("interpolation", ["spline", "linear"])
+def test_turns_at_single_times_are_those_at_many(interpolation: str) -> None:
+    steps = np.array([[0, 0, 0], [0.1, 0.2, 0], [0, 3.0, 0], [0, 3.0, 0.5], [0, 0, 3.1]])  # spline: over half a turn
+    turns = Rotation.from_rotvec(steps) * Rotation.from_rotvec(np.cumsum(0.5 * steps, axis=0))
+    path = CameraPath(
+        np.array([0.0, 0.4, 2.0, 2.1, 5.0]), np.zeros((5, 3)), turns.as_quat()[:, [3, 0, 1, 2]], np.full(5, 40.0),
+        interpolation=interpolation,
+    )  # fmt: skip
+    times = np.linspace(0, 5, 101)
+    single = [path.camera(time, 9, 6).camera_to_world[:3, :3] for time in times.tolist()]
+    np.testing.assert_allclose(single, path.turns(times), atol=1e-9)
+
+
 def test_lines_are_straight_and_so_is_the_last_stretch_of_their_loop() -> None:
     path = path_of(interpolation="linear")
     times = np.linspace(path.start_s, path.end_s, 23)
