@@ -52,9 +52,12 @@ def rainy_scene():
     places = road.means + water.height_at(road.means[:, :2])[:, None] * np.array([0, 0, 1], np.float32)
     scene = replace(scene, layers=(Layer("road", replace(road, means=places)), *scene.layers[1:]))
     roof = patch((4, -2, 3.5), np.array([3.0, 0, 0]), np.array([0, 4.0, 0]), 30, (0.5, 0.2, 0.2))
+    # At equal depths, the first one is the nearest.
+    sides = (14, 3, 1.5), np.array([0, 3.0, 0]), np.array([0, 0, 2.0]), 20
+    red, green = (Layer(f"board {at}", patch(*sides, color)) for at, color in enumerate([(0.9, 0, 0), (0, 0.9, 0)]))
     layers = [
         replace(layer, wet_sh=0.6 * layer.gaussians.sh - np.float32(0.3))
-        for layer in (*scene.layers, Layer("roof", roof))
+        for layer in (*scene.layers, Layer("roof", roof), red, green)
     ]
     block = patch((-1, -0.5, 0.5), np.array([0, 1.0, 0]), np.array([0, 0, 1.0]), 12, (0.9, 0.2, 0.1))
     times = np.linspace(0, 4, 5)
