@@ -595,7 +595,13 @@ class Scene:
         `selection` tints selected Gaussians; `wetness` (0..1) blends in the wet colors of members that have them, and
         `overcast` those of sky layers (None: `wetness`, too). During a readout around that time, actors move.
         """
-        return list(_parts(self, time_s, wetness, wetness if overcast is None else overcast, readout_s, selection))
+        sky, to_world, parts = wetness if overcast is None else overcast, self.scene_to_world, list[DrawItem]()
+        for each in self.members:
+            if each.visible:
+                own = sky if is_sky(each) else wetness
+                part = _part(each, to_world, time_s, selection=selection, wetness=own, readout_s=readout_s)
+                parts += [] if part is None else [part]
+        return parts
 
     def part(
         self,
@@ -612,8 +618,12 @@ class Scene:
 
     def ego_to_world(self, time_s: float) -> Float64[np.ndarray, "4 4"] | None:
         """Pose of the ego vehicle in meters, without scale; None if the scene has none at that time."""
-        pose = _ego_to_world(self, time_s)
-        return None if pose is None else pose.copy()
+        pose = self.ego.pose(time_s) if self.ego is not None else None
+        if pose is None:
+            return None
+        matrix = self.scene_to_world @ pose
+        matrix[:3, :3] /= self.metres_per_unit
+        return matrix
 
     def lamps_at(self, time_s: float, lamps: Sequence[Lamp] | None = None) -> LitLamps:
         """Lamps in the world at a time, by default the scene's own; those of hidden or absent vehicles are off."""
@@ -630,30 +640,6 @@ class Scene:
             if mount is not None:
                 placed.append((lamp, mount))
         return lit_lamps(placed)
-
-
-@scene_cache(maxsize=8)
-def _ego_to_world(scene: Scene, time_s: float) -> Float64[np.ndarray, "4 4"] | None:
-    pose = None if scene.ego is None else scene.ego.pose(time_s)
-    if pose is None:
-        return None
-    matrix = scene.scene_to_world @ pose
-    matrix[:3, :3] /= scene.metres_per_unit
-    return matrix
-
-
-@scene_cache(maxsize=2)
-def _parts(
-    scene: Scene, time_s: float, wetness: float, overcast: float, readout_s: float, selection: bool
-) -> tuple[DrawItem, ...]:
-    """Items of a scene at a time: those of a picture, of what glass and mirrors show in it, and of its depth."""
-    to_world, parts = scene.scene_to_world, list[DrawItem]()
-    for each in scene.members:
-        if each.visible:
-            own = overcast if is_sky(each) else wetness
-            part = _part(each, to_world, time_s, selection=selection, wetness=own, readout_s=readout_s)
-            parts += [] if part is None else [part]
-    return tuple(parts)
 
 
 def _part(
