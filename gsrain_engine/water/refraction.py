@@ -31,7 +31,7 @@ WIDE = 2.5
 """Tangents of the half angles of the wide view, relative to those of the picture."""
 
 WIDE_PX, _COARSE_PX = 160, (64, 80)
-"""Width of the wide view for sharp drops, and for blurred ones."""
+"""Width of the wide view for sharp drops, and widths for blurred ones, of which the least that is enough is taken."""
 
 _LARGE_M, _FINE = 0.003, 4.0  # radius of a large drop; least pixels of the wide view along what a cell shows; ours
 _SPREAD = 0.7  # difference of angles of rays over half a drop: they spread over some 80 degrees
