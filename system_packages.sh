@@ -24,6 +24,9 @@ need xvfb command -v Xvfb
 need xauth command -v xauth
 if [ "${1:-}" = tests ] && { [ "$(id -u)" = 0 ] || [ -n "$missing" ]; }; then
     need chromium sh -c 'command -v chromium || command -v chromium-browser || command -v google-chrome'
+    if [ "$(. /etc/os-release 2>/dev/null && echo "$VERSION_ID")" = 12 ]; then # Debian 13 has none any more
+        need libosmesa6 library libOSMesa.so.8
+    fi
 fi
 [ -n "$missing" ] || exit 0
 

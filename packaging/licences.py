@@ -38,8 +38,11 @@ _NAMES = {
     "gnu general public license v3 or later (gplv3+)": "GPL-3.0-or-later",
     "gnu affero general public license v3": "AGPL-3.0-only",
     "gnu affero general public license v3 or later (agplv3+)": "AGPL-3.0-or-later",
+    "nvidia proprietary software": "LicenseRef-NVIDIA-Proprietary",
 }
 """SPDX identifiers by how packages write licences down, in lower case; for others their text is read."""
+_SILENT = {"cuda-toolkit": "LicenseRef-NVIDIA-Proprietary"}
+"""Licenses of packages that declare none and have no text: NVIDIA's, which only builds of torch for its GPUs need."""
 _TEXTS = {
     "MIT": r"Permission is hereby granted, free of charge, to any person obtaining a copy",
     "Apache-2.0": r"Apache License\s+Version 2\.0",
@@ -102,7 +105,7 @@ def licence_of(package: metadata.Distribution) -> str:
         for name, pattern in patterns.items():
             if re.search(pattern, text, re.DOTALL):
                 return name
-    return "LicenseRef-BSD" if is_bsd else UNKNOWN
+    return "LicenseRef-BSD" if is_bsd else _SILENT.get(canonicalize_name(package.name), UNKNOWN)
 
 
 def _spdx(words: str) -> str | None:

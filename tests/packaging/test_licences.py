@@ -53,6 +53,7 @@ def test_what_is_allowed(licences, expression, allowed):
         ("License: BSD", "Redistribution and use in source and binary forms\nNeither the name of", "BSD-3-Clause"),
         ("License: BSD", "Redistribution and use in source and binary forms", "BSD-2-Clause"),
         ("License: see the lawyer", "All rights reserved.", "unknown"),
+        ("License: NVIDIA Proprietary Software", "", "LicenseRef-NVIDIA-Proprietary"),
         ("Summary: silent", "Permission is hereby granted, free of charge, to any person obtaining a copy", "MIT"),
     ],
 )
@@ -63,6 +64,11 @@ def test_licences_are_read_from_what_packages_say(licences, tmp_path, header, te
     (folder / "LICENSE.txt").write_text(text)
     (folder / "RECORD").write_text("thing-1.0.dist-info/METADATA,,\nthing-1.0.dist-info/LICENSE.txt,,\n")
     assert licences.licence_of(metadata.Distribution.at(folder)) == licence
+
+
+def test_builds_for_gpus_bring_packages_without_a_license(licences, tmp_path):
+    (tmp_path / "METADATA").write_text("Metadata-Version: 2.4\nName: cuda-toolkit\nVersion: 13.0\n")
+    assert licences.licence_of(metadata.Distribution.at(tmp_path)) == "LicenseRef-NVIDIA-Proprietary"
 
 
 def test_the_page_names_every_direct_dependency(licences):

@@ -4,6 +4,7 @@ import pytest
 
 from extension_package import installed, titled_blocks
 from repository import REPOSITORY
+from ui.commands.keys import chord
 from window_driver import imgui
 
 _SULKS = """
@@ -44,7 +45,7 @@ def packages(tmp_path):
 def test_panels_of_packages_are_drawn_and_one_that_fails_takes_nothing_with_it(packages, driver, caplog):
     driver.click("//Cloudburst/Cloudburst")
     assert driver.editor.document.rain.intensity_mm_h == 100
-    driver.press(imgui.Key.mod_ctrl | imgui.Key.z)
+    driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.z))
     assert driver.editor.document.rain.intensity_mm_h != 100
     import sulky
 

@@ -33,11 +33,11 @@ class _OldPickler(pickle.Pickler):
         return NotImplemented
 
 
-def old_pickle(value: Any) -> memoryview:
+def old_pickle(value: Any) -> bytes:
     """Pickle plain values, arrays and scalars, as Python numbers. Raises TypeError for an array of objects."""
     stream = io.BytesIO()
     _OldPickler(stream, 4).dump(value)  # protocol 4 is that of Python 3.4, which all clients support
-    return stream.getbuffer()
+    return stream.getvalue()  # of the same memory; a view would have to be released before the stream
 
 
 # NumPy arrays

