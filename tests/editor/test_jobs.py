@@ -102,7 +102,7 @@ def with_a_function(folder):
         ({"work": ended}, "ended from outside", "in ended"),
         ({"work": hungry}, "the machine ran out of memory", "in hungry"),
         ({"inputs": full_disk}, "No space left", "in full_disk"),
-        ({"inputs": with_a_function}, "pickle", "with_a_function"),
+        ({"inputs": with_a_function}, "with_a_function", "with_a_function"),
         ({"read": full_disk}, "No space left", "in full_disk"),
         ({"snapshot": full_disk, "work": failing}, "", ""),  # either of the two errors comes first
         ({"on_result": full_disk}, "No space left", "in full_disk"),
