@@ -2,6 +2,7 @@
 
 import gc
 import os
+import re
 import sys
 import tempfile
 from pathlib import Path
@@ -48,6 +49,35 @@ def pytest_collection_modifyitems(items):
 
 def pytest_collection_finish():
     gc.freeze()
+
+
+_MAX_SKIPS = {
+    r"needs an? (NVIDIA )?GPU": 20,
+    r"no (test data|reference images|detector) at": 10_000,
+    r"weights": 5,
+    r"libOSMesa is not installed": 1,  # Debian 13 has none
+}
+"""Reasons to skip tests of the whole suite, and how many may be; packages that tests need are installed with them."""
+
+
+def pytest_sessionfinish(session):
+    """Fail a run of the whole suite that skips more than `_MAX_SKIPS`: skipped tests would otherwise go unnoticed."""
+    config = session.config
+    is_whole = config.args_source is pytest.Config.ArgsSource.TESTPATHS and not (
+        config.option.keyword or config.option.markexpr
+    )
+    if not is_whole or hasattr(config, "workerinput") or config.option.collectonly:
+        return
+    reporter = config.pluginmanager.get_plugin("terminalreporter")
+    left = dict(_MAX_SKIPS)
+    for report in reporter.stats.get("skipped", []):
+        reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else str(report.longrepr)
+        known = next((each for each in left if re.search(each, reason)), None)
+        if known is not None and left[known] > 0:
+            left[known] -= 1
+        else:
+            reporter.write_line(f"skipped without need: {report.nodeid}: {reason}", red=True)
+            session.exitstatus = pytest.ExitCode.TESTS_FAILED
 
 
 @pytest.fixture(autouse=True)
