@@ -5,10 +5,11 @@ Unpolarized light of three wavelengths, on spheres of water. Rain has the drop s
 and over the solid angle around each of its angles. Its first number is what 4 pi leaves to the forward peak, since rain
 diffracts by hundredths of a degree.
 
-    MIEPYTHON_USE_JIT=1 .venv/bin/python -m benchmarks.phase_functions
+    .venv/bin/python -m benchmarks.phase_functions
 """
 
 import json
+import os
 import sys
 from typing import Any
 
@@ -19,6 +20,8 @@ from gsrain_engine.rain.calibration import load_calibration
 from gsrain_engine.rain.phase import ANGLES, RATES_MM_H, TABLE, asymmetry, sphere_weights
 from gsrain_engine.rain.properties import rain_properties
 from gsrain_engine.rain.settings import RainSettings
+
+os.environ.setdefault("MIEPYTHON_USE_JIT", "1")  # read when miepython is first imported
 
 WAVELENGTHS_UM = (0.45, 0.55, 0.65)
 REFRACTIVE_INDICES = (1.337, 1.333, 1.331)  # of water (Hale and Querry 1973)
