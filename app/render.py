@@ -148,7 +148,7 @@ def render(
     sequences = export_sequences(export, opened, simulation, viewpoint, in_scene_time=is_own_path)
     if intensities is not None:
         with open_renderer(backend) as renderer:
-            write_numbers(json, _write_sheet(renderer, sequences, settings, intensities, Path(export.output)))
+            write_numbers(json, _write_sheet(renderer, sequences, settings, intensities, export.path))
         return 0
     numbers = _frame_numbers(export, sequences, duration, frame)
     shots = {name: sequence.shot(numbers[0]) for name, sequence in sequences.items()}
@@ -309,7 +309,7 @@ def _write_sheet(
     from gsrain_engine.render.intensity_sheet import write_sheet  # loads OpenCV, which images don't need
 
     lock_outputs(output)
-    cells = run_with_progress(write_sheet(renderer, sequences, rain, intensities, output))
+    cells = run_with_progress(write_sheet(renderer, sequences, intensities, output))
     for cell in cells:
         print(f"{f'{cell.view}, ' if cell.view else ''}{cell.intensity_mm_h:g} mm/h: {cell.caption}")
     print(", ".join(filter(None, [f"{output}: {len(cells)} images", rain.exaggeration])))
