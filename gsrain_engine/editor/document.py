@@ -8,8 +8,8 @@ import msgspec
 
 from ..fields import field_of
 from ..rain.keyframes import NO_KEYFRAMES, RainKeyframes
-from ..rain.settings import RainSettings
-from ..scene.scene import Scene
+from ..rain.settings import RainSettings, RegionBox
+from ..scene.scene import Scene, is_single_object
 from .clock import PlaybackClock
 from .status import StatusBus
 
@@ -84,7 +84,10 @@ class Step:
         if self.of == "document":
             return self.change(before, *self.arguments, **self.options)
         changed = self.change(getattr(before, self.of), *self.arguments, **self.options)
-        return replace(before, **{self.of: changed})
+        after = replace(before, **{self.of: changed})
+        if after.scene.metres_per_unit != before.scene.metres_per_unit:
+            after = replace(after, rain=rain_around(after.scene, after.rain))
+        return after
 
 
 class History:
@@ -269,6 +272,27 @@ def with_rain(state: DocumentState, at_s: float = 0.0, **fields: Any) -> Documen
     keyed = {name: value for name, value in fields.items() if state.keyframes.is_keyed(name) and value is not None}
     keyframes = state.keyframes.with_key(at_s, **keyed) if keyed else state.keyframes
     return replace(state, rain=rain, keyframes=keyframes)
+
+
+OBJECT_AIR = RegionBox(minimum_m=(-10.0, -10.0, -10.0), maximum_m=(10.0, 10.0, 10.0))
+"""Region of the haze around a single object, whose background stays dark so that rain shows before it."""
+
+
+def rain_around(scene: Scene, rain: RainSettings) -> RainSettings:
+    """Rain for a scene that has none of its own: around a single object the haze ends, around others it does not.
+
+    A region of the haze that is neither stays.
+    """
+    if rain.haze_region not in (None, OBJECT_AIR):
+        return rain
+    air = OBJECT_AIR if scene.members and is_single_object(scene) else None
+    return msgspec.structs.replace(rain, haze_region=air)
+
+
+def with_preset(rain: RainSettings, preset: RainSettings) -> RainSettings:
+    """Rain with a preset: one of an intensity sets that alone, any other one all settings."""
+    is_intensity = msgspec.structs.replace(preset, intensity_mm_h=RainSettings().intensity_mm_h) == RainSettings()
+    return msgspec.structs.replace(rain, intensity_mm_h=preset.intensity_mm_h) if is_intensity else preset
 
 
 def with_contents(state: DocumentState, scene: Scene, rain: RainSettings) -> DocumentState:

@@ -26,7 +26,7 @@ from ..scene.scene import Scene
 from .autosave import Autosave, FileFingerprint, RecoveryCandidate, fingerprint_of, has_changed, saved_scene
 from .background_edits import import_file
 from .capture_view import CaptureController
-from .document import DocumentState, Recipe
+from .document import DocumentState, Recipe, rain_around
 from .edits.layers import import_scene
 from .jobs.job import JobRunner, ThreadTask, ThreadTasks
 from .preferences import PreferencesStore, state_folder
@@ -372,7 +372,7 @@ class Files:
             self._status.report(f"{path} is in the folder of the open scene, which Save writes: choose another place.")
             return
         scene = saved_scene(self._viewport)
-        if self._document.rain == load_preset("clear"):
+        if self._document.rain == rain_around(scene, load_preset("clear")):
             scene = replace(scene, rain=None)
         missing = lost_in_file(scene, path)
 
