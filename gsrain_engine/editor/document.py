@@ -21,6 +21,8 @@ class DocumentState:
     scene: Scene
     rain: RainSettings
     keyframes: RainKeyframes = NO_KEYFRAMES
+    origin: str = ""
+    """Job or program that has made the scene anew, which then has no folder; "" for the one that was opened."""
 
     def equals(self, other: "DocumentState") -> bool:
         """Return whether both have the same scene object, and equal rain and keyframes."""
@@ -76,6 +78,8 @@ class Step:
     """Name of the running drag; further changes by the same gesture belong to the same step."""
     recipe: Recipe | None = None
     """Makes the same as `change`, whose arguments are a result of background work; None for any other step."""
+    origin: str | None = None
+    """Origin of the document from here on; None changes nothing."""
 
     def applied_to(self, before: DocumentState) -> DocumentState:
         """Apply the change to another document."""
@@ -87,7 +91,7 @@ class Step:
         after = replace(before, **{self.of: changed})
         if after.scene.metres_per_unit != before.scene.metres_per_unit:
             after = replace(after, rain=rain_around(after.scene, after.rain))
-        return after
+        return after if self.origin is None else replace(after, origin=self.origin)
 
 
 class History:
@@ -199,13 +203,15 @@ class Document:
         *arguments: Any,
         gesture: str | None = None,
         recipe: Recipe | None = None,
+        origin: str | None = None,
         **options: Any,
     ) -> bool:
         """Set the scene that `change(scene, *arguments, **options)` returns; return whether it is another one.
 
-        `label` may be a function of the old and the new scene.
+        `label` may be a function of the old and the new scene. With `origin`, the scene is made anew by a job of that
+        name, and belongs to no folder until it is saved.
         """
-        return self._apply(label, Step("", self.state, "scene", change, arguments, options, gesture, recipe))
+        return self._apply(label, Step("", self.state, "scene", change, arguments, options, gesture, recipe, origin))
 
     def edit_keyframes(
         self,
@@ -296,4 +302,5 @@ def with_preset(rain: RainSettings, preset: RainSettings) -> RainSettings:
 
 
 def with_contents(state: DocumentState, scene: Scene, rain: RainSettings) -> DocumentState:
-    return replace(state, scene=scene, rain=rain)
+    """Set scene and rain; another scene is that of a program, with no folder of its own."""
+    return replace(state, scene=scene, rain=rain, origin=state.origin if scene is state.scene else "program")

@@ -353,9 +353,11 @@ class Editor:
         continues = self.document.history.continues(staged.gesture)
         if staged.goes_on and not continues:
             return  # the user has continued with something else
+        origin = staged.gesture or staged.label
         is_new = self.document.edit(
-            staged.label, staged.change, staged.scene, gesture=staged.gesture, recipe=staged.recipe
-        )
+            staged.label, staged.change, staged.scene, gesture=staged.gesture, recipe=staged.recipe,
+            origin=origin if staged.change is replace_scene else None,
+        )  # fmt: skip
         if staged.change is replace_scene and not continues:
             self._reset_view()
         elif is_new and staged.change is not replace_scene:
