@@ -120,7 +120,7 @@ def _export_gaussians(
         scene, settings = rainy_light(scene, settings, wet, settings.intensity_mm_h)
     simulation = RainSimulation.start(settings.without_medium)  # a file has Gaussians only
     still = ExportSettings(output="rain.png", first_s=time_s, size_px=size_px)
-    viewpoint = viewpoint_of(scene, camera, None, still, is_frame=False)
+    viewpoint = viewpoint_of(scene, camera, None, still)
     (sequence,) = export_sequences(still, scene, simulation, viewpoint, in_scene_time=scene.path is not None).values()
     shot = sequence.shot(0)
     with open_renderer("cpu") as renderer:

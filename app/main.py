@@ -5,7 +5,7 @@ import os
 import re
 import select
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import redirect_stdout
 from contextvars import copy_context
 from difflib import get_close_matches
@@ -81,11 +81,7 @@ def view(
     follow_path: Annotated[bool, flag("Look through the camera that moves along the scene's path.")] = False,
 ) -> None:
     """Open a scene in the window."""
-    if (
-        scene is not None
-        and not re.fullmatch(r"street(:overcast|:dusk|:night|:long)?", scene)
-        and not Path(scene).exists()
-    ):
+    if scene is not None and not _names_scene(scene):
         from gsrain_engine.scene.open import load_scene
 
         load_scene(scene)  # its error suggests similar names
@@ -200,13 +196,24 @@ def _nobody_reads() -> bool:
 
 
 def _misspelled(arguments: list[str]) -> str | None:
-    """Suggest a command for a first word that is neither a command nor a scene; else None."""
+    """Suggest a command or a built-in scene for a first word that is neither a command nor a scene; else None."""
     word = arguments[0] if arguments else ""
     names = [name for name in app if not name.startswith("-")]
-    like = get_close_matches(word, names, 1)
-    if not like or word in names or word.startswith("-") or Path(word).exists():
+    if word in names or word.startswith("-") or _names_scene(word):
         return None
-    return f"{word}: no such command, and no such scene; did you mean gsrain {like[0]}?"
+    like = get_close_matches(word, [*names, *_built_in_scenes()], 1)
+    return f"{word}: no such command, and no such scene; did you mean gsrain {like[0]}?" if like else None
+
+
+def _names_scene(word: str) -> bool:
+    """Return whether a word names a built-in scene, or a file or folder that is there."""
+    return Path(word).exists() or word in _built_in_scenes()
+
+
+def _built_in_scenes() -> Collection[str]:
+    from gsrain_engine.scene.street.layout import STREETS  # loads NumPy, which few words need
+
+    return STREETS
 
 
 def renamed_options(arguments: Sequence[str]) -> Iterator[str]:

@@ -50,7 +50,7 @@ def publish(
     settings = (rain or RainOptions()).for_scene(opened)
     opened, settings = rainy_light(opened, settings, wet, settings.intensity_mm_h)
     film = ExportSettings(output="page.mp4", first_s=time)
-    viewpoint = viewpoint_of(opened, camera, camera_path, film, is_frame=False)
+    viewpoint = viewpoint_of(opened, camera, camera_path, film)
     is_path = camera_path is not None or (camera is None and opened.path is not None)
     if isinstance(viewpoint, CameraPath) and is_path:
         viewpoint = timed_path(viewpoint, speed).path

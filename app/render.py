@@ -14,6 +14,7 @@ from msgspec import structs
 from gsrain_engine.backends import Backend, open_renderer
 from gsrain_engine.editor.jobs.record import own_path
 from gsrain_engine.editor.viewport.camera import front_camera, home_camera
+from gsrain_engine.fields import option_names
 from gsrain_engine.rain.calibration import load_calibration
 from gsrain_engine.rain.keyframes import NO_KEYFRAMES, Keyed, RainKeyframes, read_keyframes
 from gsrain_engine.rain.properties import RainProperties
@@ -117,9 +118,13 @@ def render(
     check_within("--duration", duration, 0, 36_000, "s", is_open=True)
     if frame is not None and frame < 0:
         raise ValueError(f"--frame {frame}: must be 0 or more")
-    if frame is not None and camera is not None and export.is_still:
-        raise ValueError(f"--frame {frame}: a still from --camera has no other frame; --time sets its moment")
-    intensities = None if sheet is None else _sheet_intensities(sheet, export, frame)
+    given = _given(recording) | _given(rain_options) | {
+        "--camera": camera, "--camera-path": camera_path, "--depth": depth or None, "--duration": duration,
+        "--frame": frame, "--labels": labels, "--mode": None if mode == "splats" else mode,
+        "--preset": rain_options.preset, "--rain-keyframes": rain_keyframes,
+    }  # fmt: skip
+    _check_used({name: value for name, value in given.items() if value is not None}, export, sheet)
+    intensities = None if sheet is None else _sheet_intensities(sheet, export)
     check_writable(json)
     opened = (orientation or Orientation()).of(load_sorted_scene(scene))
     if labels is not None and not scene_objects(opened):
@@ -134,13 +139,16 @@ def render(
         settings = structs.replace(settings, wetness=1.0)
     simulation = RainSimulation.start(settings, weather=weather)
     is_own_path = camera is None and camera_path is None and opened.path is not None
-    viewpoint = viewpoint_of(opened, camera, camera_path, export, is_frame=frame is not None)
+    viewpoint = viewpoint_of(opened, camera, camera_path, export)
+    if frame is not None and export.is_still and isinstance(viewpoint, Camera) and not export.cameras:
+        place = "--camera" if camera is not None else f"scene {opened.name!r}, which has no path or drive,"
+        raise ValueError(f"--frame {frame}: a still from {place} has no other frame; --time sets its moment")
     timing = _timing(opened, viewpoint, camera_path, export, speed)
     viewpoint = viewpoint if timing is None else timing.path
     sequences = export_sequences(export, opened, simulation, viewpoint, in_scene_time=is_own_path)
     if intensities is not None:
         with open_renderer(backend) as renderer:
-            write_numbers(json, _write_sheet(renderer, sequences, settings, intensities, Path(export.output)))
+            write_numbers(json, _write_sheet(renderer, sequences, settings, intensities, export.path))
         return 0
     numbers = _frame_numbers(export, sequences, duration, frame)
     shots = {name: sequence.shot(numbers[0]) for name, sequence in sequences.items()}
@@ -253,12 +261,40 @@ def _record(frames: Iterator[Progress], renderer: Renderer, state: RainPropertie
     }
 
 
-def _sheet_intensities(sheet: str, export: ExportSettings, frame: int | None) -> list[float]:
+def _given(options: StructOptions) -> dict[str, Any]:
+    """Values of the options that were set, by the option's name."""
+    names = option_names(options.kind)
+    return {names[field]: value for field, value in options.changes().items()}
+
+
+def _check_used(given: Mapping[str, Any], export: ExportSettings, sheet: str | None) -> None:
+    """Raise `ValueError` for a given option that has no effect on this output; `given` are values by option."""
+    without: dict[str, str] = {}
+    if "--cameras" in given:
+        without |= dict.fromkeys(("--camera", "--camera-path"), "the views are those of --cameras")
+    if "--mode" in given:  # which --rain 0 agrees with
+        rain = [name for name in _RAIN if given.get(name) != 0]
+        without |= dict.fromkeys(rain, f"--mode {given['--mode']} shows the scene without rain")
+    if export.format in ("png", "exr", "npy"):
+        without["--quality"] = "PNG, EXR and NPY are written without loss; JPEG and videos have a quality"
+    if export.is_still and "--frame" not in given:
+        without |= dict.fromkeys(("--duration", "--fps", "--to"), "a still is one moment, which --time sets")
+    if sheet is not None:
+        without |= dict.fromkeys(_NOT_OF_SHEETS, "a sheet is one image of one moment in the intensities of --sheet")
+    for name in without.keys() & given.keys():
+        raise ValueError(f"{name} has no effect: {without[name]}")
+
+
+_RAIN = "--rain", "--preset", "--rain-keyframes"
+_NOT_OF_SHEETS = (
+    "--clear-pair", "--depth", "--frame", "--labels", "--mode", "--passes", "--quality", "--rain", "--transparent",
+)  # fmt: skip
+
+
+def _sheet_intensities(sheet: str, export: ExportSettings) -> list[float]:
     """Parse `--sheet`, and check that the output is one image."""
     intensities = parse_intensities(sheet, "--sheet")
     check_image("--output", Path(export.output))
-    if not export.is_still or set(export.passes) != {"color"} or frame is not None:
-        raise ValueError("--sheet makes one image of one moment: -o NAME.png, and --time for the moment")
     return intensities
 
 
@@ -273,7 +309,7 @@ def _write_sheet(
     from gsrain_engine.render.intensity_sheet import write_sheet  # loads OpenCV, which images don't need
 
     lock_outputs(output)
-    cells = run_with_progress(write_sheet(renderer, sequences, rain, intensities, output))
+    cells = run_with_progress(write_sheet(renderer, sequences, intensities, output))
     for cell in cells:
         print(f"{f'{cell.view}, ' if cell.view else ''}{cell.intensity_mm_h:g} mm/h: {cell.caption}")
     print(", ".join(filter(None, [f"{output}: {len(cells)} images", rain.exaggeration])))
@@ -371,7 +407,7 @@ def _check_outputs(
 
 
 def viewpoint_of(
-    scene: Scene, camera: Path | None, camera_path: Path | None, export: ExportSettings, *, is_frame: bool
+    scene: Scene, camera: Path | None, camera_path: Path | None, export: ExportSettings
 ) -> Camera | CameraPath:
     """Return the camera or path of the options, in the world; else the scene's path, the ego's drive, or an orbit.
 
@@ -388,7 +424,7 @@ def viewpoint_of(
         return (read.resized(width, height) if export.size_px else read).moved(scene.scene_to_world)
     if camera_path is not None:
         return read_camera_path(camera_path, scene.scene_to_world).moved(scene.scene_to_world)
-    if scene.path is not None or not export.is_still or is_frame or front_camera(scene) is not None:
+    if scene.path is not None or not export.is_still or front_camera(scene) is not None:
         return own_path(scene, width, height)
     return home_camera(scene, width, height)
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import msgspec
 
+from gsrain_engine.editor.document import with_preset
 from gsrain_engine.fields import Field, field_of, fields_of
 from gsrain_engine.presets import shipped_config_names
 from gsrain_engine.rain.settings import CALIBRATED_UP_TO_MM_H, HEAVIEST_MM_H, RegionBox, load_preset
@@ -74,7 +75,7 @@ class RainPanel:
     def _load_preset(self, event: Any) -> None:
         if event.client is None or self._preset.value not in shipped_config_names("rain"):
             return
-        rain = load_preset(self._preset.value)
+        rain = with_preset(self._rain, load_preset(self._preset.value))
         self.display(rain)
         self._on_change(rain)
 

@@ -136,7 +136,7 @@ def first(folder, plant):
         person.say("saved", editor.files.has_changes)
         person.ctx.window_focus("//Display")
         person.ctx.item_input_value("//Display/##autosave_s", 5.0)
-        person.click("//Rain/12.0")
+        person.click("//Rain/12")
         changed = time.monotonic()
         kept = folder / ".project.autosave" / "scene" / "scene.json"
         person.until(lambda: time.monotonic() > changed + 30 or kept.exists(), 10**6)

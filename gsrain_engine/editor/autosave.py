@@ -154,12 +154,14 @@ class Autosave:
                 shutil.rmtree(place, ignore_errors=True)  # its process died before it wrote anything
         return sorted((each for each in found if each is not None), key=lambda each: -each.saved_at)
 
-    def write(self, scene: Scene, stamp: FileFingerprint | None, known: FileCache) -> None:
+    def write(self, scene: Scene, home: Path | None, stamp: FileFingerprint | None, known: FileCache) -> None:
         """Write an autosave next to the scene folder, or in the state folder if that is not possible.
+
+        `home` is the folder that the scene is saved to, and `stamp` its state; None for one that has none yet.
 
         Raises SceneFormatError if the document could not be read again, OSError if it can't be written anywhere.
         """
-        about = AutosaveEntry.of(scene.name, self._home, stamp)
+        about = AutosaveEntry.of(scene.name, home, stamp)
         place = self.place or self._folder_next_to_scene() or self._new_place()
         try:
             self._write_at(place, about, scene, known)

@@ -8,8 +8,8 @@ import msgspec
 
 from ..fields import field_of
 from ..rain.keyframes import NO_KEYFRAMES, RainKeyframes
-from ..rain.settings import RainSettings
-from ..scene.scene import Scene
+from ..rain.settings import RainSettings, RegionBox
+from ..scene.scene import Scene, is_single_object
 from .clock import PlaybackClock
 from .status import StatusBus
 
@@ -21,6 +21,8 @@ class DocumentState:
     scene: Scene
     rain: RainSettings
     keyframes: RainKeyframes = NO_KEYFRAMES
+    origin: str = ""
+    """Job or program that has made the scene anew, which then has no folder; "" for the one that was opened."""
 
     def equals(self, other: "DocumentState") -> bool:
         """Return whether both have the same scene object, and equal rain and keyframes."""
@@ -76,6 +78,8 @@ class Step:
     """Name of the running drag; further changes by the same gesture belong to the same step."""
     recipe: Recipe | None = None
     """Makes the same as `change`, whose arguments are a result of background work; None for any other step."""
+    origin: str | None = None
+    """Origin of the document from here on; None changes nothing."""
 
     def applied_to(self, before: DocumentState) -> DocumentState:
         """Apply the change to another document."""
@@ -84,7 +88,10 @@ class Step:
         if self.of == "document":
             return self.change(before, *self.arguments, **self.options)
         changed = self.change(getattr(before, self.of), *self.arguments, **self.options)
-        return replace(before, **{self.of: changed})
+        after = replace(before, **{self.of: changed})
+        if after.scene.metres_per_unit != before.scene.metres_per_unit:
+            after = replace(after, rain=rain_around(after.scene, after.rain))
+        return after if self.origin is None else replace(after, origin=self.origin)
 
 
 class History:
@@ -196,13 +203,15 @@ class Document:
         *arguments: Any,
         gesture: str | None = None,
         recipe: Recipe | None = None,
+        origin: str | None = None,
         **options: Any,
     ) -> bool:
         """Set the scene that `change(scene, *arguments, **options)` returns; return whether it is another one.
 
-        `label` may be a function of the old and the new scene.
+        `label` may be a function of the old and the new scene. With `origin`, the scene is made anew by a job of that
+        name, and belongs to no folder until it is saved.
         """
-        return self._apply(label, Step("", self.state, "scene", change, arguments, options, gesture, recipe))
+        return self._apply(label, Step("", self.state, "scene", change, arguments, options, gesture, recipe, origin))
 
     def edit_keyframes(
         self,
@@ -271,5 +280,27 @@ def with_rain(state: DocumentState, at_s: float = 0.0, **fields: Any) -> Documen
     return replace(state, rain=rain, keyframes=keyframes)
 
 
+OBJECT_AIR = RegionBox(minimum_m=(-10.0, -10.0, -10.0), maximum_m=(10.0, 10.0, 10.0))
+"""Region of the haze around a single object, whose background stays dark so that rain shows before it."""
+
+
+def rain_around(scene: Scene, rain: RainSettings) -> RainSettings:
+    """Rain for a scene that has none of its own: around a single object the haze ends, around others it does not.
+
+    A region of the haze that is neither stays.
+    """
+    if rain.haze_region not in (None, OBJECT_AIR):
+        return rain
+    air = OBJECT_AIR if scene.members and is_single_object(scene) else None
+    return msgspec.structs.replace(rain, haze_region=air)
+
+
+def with_preset(rain: RainSettings, preset: RainSettings) -> RainSettings:
+    """Rain with a preset: one of an intensity sets that alone, any other one all settings."""
+    is_intensity = msgspec.structs.replace(preset, intensity_mm_h=RainSettings().intensity_mm_h) == RainSettings()
+    return msgspec.structs.replace(rain, intensity_mm_h=preset.intensity_mm_h) if is_intensity else preset
+
+
 def with_contents(state: DocumentState, scene: Scene, rain: RainSettings) -> DocumentState:
-    return replace(state, scene=scene, rain=rain)
+    """Set scene and rain; another scene is that of a program, with no folder of its own."""
+    return replace(state, scene=scene, rain=rain, origin=state.origin if scene is state.scene else "program")

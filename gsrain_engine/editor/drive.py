@@ -87,7 +87,14 @@ class RolloutPlayer:
         scenario, settings = self.setup.scenario, self.setup.settings
         rains = settings.rains(self._document.rain_now)
         job = simulation_job(saved_scene(self._viewport), scenario, settings, rains, self._files.known)
-        self._jobs.start(job, lambda found, _: self._open(found))
+        origin = self._document.state.origin
+
+        def take(found: list[LoadedRollout], _: bool) -> str | None:
+            is_same = self._document.state.origin == origin
+            self._open(found, plays=is_same)
+            return None if is_same else "Driven in the scene of before, which is not open any more"
+
+        self._jobs.start(job, take)
 
     # Files
 
@@ -96,9 +103,10 @@ class RolloutPlayer:
         fail = partial(self._status.report, what=f"{path.name} can't be opened")
         self._tasks.start(lambda: [load_rollout(path)], self._open, fail)
 
-    def _open(self, found: list[LoadedRollout]) -> None:
+    def _open(self, found: list[LoadedRollout], *, plays: bool = True) -> None:
         self.opened = [*self.opened, *found][-_MAX_ROLLOUTS:]
-        self.play(found[-1])
+        if plays:
+            self.play(found[-1])
         for each in found:
             logger.info("Opened a roll-out: %s: %s after %.2f s", each.title, each.rollout.end, each.duration_s)
 

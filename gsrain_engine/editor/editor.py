@@ -17,7 +17,7 @@ from .autosave import restore_view
 from .camera_path import CameraPathEditor
 from .capture_view import CaptureController
 from .clock import PlaybackClock
-from .document import Document, DocumentState
+from .document import Document, DocumentState, rain_around
 from .drawing.frame import DrawResult, MosaicInput, MosaicResult, RenderInput, SplitPane
 from .drive import RolloutPlayer
 from .edits.members import replace_scene
@@ -56,7 +56,8 @@ class Editor:
         self._is_closed = False
         self.should_quit = False
         """True if the program is to end now: the user has quit and decided about unsaved changes."""
-        clock, state = PlaybackClock(), DocumentState(scene or Scene("no scene"), rain or load_preset("clear"))
+        clock, scene = PlaybackClock(), scene or Scene("no scene")
+        state = DocumentState(scene, rain or rain_around(scene, load_preset("clear")))
         self.status = StatusBus()
         self.preferences = PreferencesStore(self._thread, self.status)
         self.document = Document(state, clock, self.status)
@@ -97,7 +98,8 @@ class Editor:
         self.jobs.leave_scene()
         self.rollouts.close_all()
         scene = opened.scene
-        state = DocumentState(scene, rain_of(scene) or self.document.rain, keyframes_of(scene) or NO_KEYFRAMES)
+        rain = rain_of(scene) or rain_around(scene, self.document.rain)
+        state = DocumentState(scene, rain, keyframes_of(scene) or NO_KEYFRAMES)
         self.document.open(state)
         self.files.enter(opened, state)
         self._reset_view()
@@ -351,9 +353,11 @@ class Editor:
         continues = self.document.history.continues(staged.gesture)
         if staged.goes_on and not continues:
             return  # the user has continued with something else
+        origin = staged.gesture or staged.label
         is_new = self.document.edit(
-            staged.label, staged.change, staged.scene, gesture=staged.gesture, recipe=staged.recipe
-        )
+            staged.label, staged.change, staged.scene, gesture=staged.gesture, recipe=staged.recipe,
+            origin=origin if staged.change is replace_scene else None,
+        )  # fmt: skip
         if staged.change is replace_scene and not continues:
             self._reset_view()
         elif is_new and staged.change is not replace_scene:

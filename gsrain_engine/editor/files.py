@@ -9,7 +9,7 @@ from datetime import datetime
 from functools import partial
 from pathlib import Path
 from time import monotonic
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 
@@ -26,7 +26,7 @@ from ..scene.scene import Scene
 from .autosave import Autosave, FileFingerprint, RecoveryCandidate, fingerprint_of, has_changed, saved_scene
 from .background_edits import import_file
 from .capture_view import CaptureController
-from .document import DocumentState, Recipe
+from .document import DocumentState, Recipe, rain_around
 from .edits.layers import import_scene
 from .jobs.job import JobRunner, ThreadTask, ThreadTasks
 from .preferences import PreferencesStore, state_folder
@@ -47,6 +47,13 @@ class LoadedDocument:
     stamp: FileFingerprint | None
     known: FileCache
     recovered: RecoveryCandidate | None = None
+
+
+class SceneHome(NamedTuple):
+    """Scene folder of a document, and its state when it was read or written last."""
+
+    folder: Path
+    stamp: FileFingerprint | None
 
 
 class NotASceneError(SceneFormatError):
@@ -76,8 +83,8 @@ class Files:
         self._jobs, self._captures, self._status, self._enter = jobs, captures, status, enter
         self.source: str | None = None
         """Path or name that was opened last."""
-        self.home: Path | None = None
-        """Scene folder that the document came from or was saved to, used by Save."""
+        self._homes: dict[str, SceneHome] = {}
+        """Scene folders of the document, by its origin."""
         self.recent: list[Path] = recent_files()
         """Latest first."""
         self.place_request: Callable[[Path], None] | None = None
@@ -86,8 +93,6 @@ class Files:
         """Returns the names of unsaved results that are lost with this document."""
         self.known = FileCache()
         """Map of files to the Gaussians they hold; for the thread that reads and writes."""
-        self.stamp: FileFingerprint | None = None
-        """State of the scene folder when it was read or written last."""
         self.saved: DocumentState = self._document.state
         """Document as on disk."""
         self.recovery = Recovery(viewport, self, preferences, status, thread)
@@ -101,6 +106,21 @@ class Files:
         self._next_saving: Callable[[], None] | None = None
 
     # State
+
+    @property
+    def home(self) -> Path | None:
+        """Scene folder that the document came from or was saved to, used by Save.
+
+        What a job has made of other data has none before it is saved; undo leads back to the one of before.
+        """
+        home = self._homes.get(self._document.state.origin)
+        return None if home is None else home.folder
+
+    @property
+    def stamp(self) -> FileFingerprint | None:
+        """State of the scene folder when it was read or written last."""
+        home = self._homes.get(self._document.state.origin)
+        return None if home is None else home.stamp
 
     @property
     def has_changes(self) -> bool:
@@ -243,10 +263,6 @@ class Files:
     def _reread(self, source: str) -> None:
         self._when_idle("revert", lambda: self.open_now(source))
 
-    def open_scene(self) -> tuple[Scene, FileCache]:
-        """Return the open scene and its files, for jobs."""
-        return self._document.scene, self.known
-
     def arrive(self, scene: Scene) -> LoadedDocument:
         """Return the origin of a staged scene that was opened here."""
         opened, self._arriving = self._arriving, None
@@ -256,8 +272,8 @@ class Files:
 
     def enter(self, opened: LoadedDocument, document: DocumentState) -> None:
         """Record that the editor switched to an opened document."""
-        self.source, self.home, self.known = opened.source or None, opened.home, opened.known
-        self.stamp, self.saved = opened.stamp, document
+        self.source, self.known, self.saved = opened.source or None, opened.known, document
+        self._homes = {} if opened.home is None else {document.origin: SceneHome(opened.home, opened.stamp)}
         recovered = opened.recovered.place if opened.recovered is not None else None
         if recovered is not None:
             self.saved = replace(document)  # a new object, so that the document counts as changed
@@ -297,7 +313,8 @@ class Files:
 
         self._ask(
             "Changed on disk",
-            f"{home} was changed by another program or window since it was opened or saved here.",
+            f"{home} holds something else than what was opened from it or saved to it here: another program or window, "
+            "or another state of this document, has replaced it.",
             Answer("Save as...", elsewhere, "Save to another place; both versions stay."),
             Answer("Overwrite", lambda: self._begin_saving(path, act), "What the other program has saved is lost."),
             Answer("Reload", lambda: self._reread(str(home)), "Read what is on the disk; lose the changes here."),
@@ -338,9 +355,10 @@ class Files:
             logger.info("Saved %s", target)
             self.saved = document
             self.recovery.forget()
-            if target != self.home:
+            before, self._homes[document.origin] = self._homes.get(document.origin), SceneHome(target, stamp)
+            if before is None or target != before.folder:
                 self.recovery.enter(target, document)
-            self.home, self.source, self.stamp = target, str(target), stamp
+            self.source = str(target)
             self._update_recent(target)
             act()
             if next_saving is not None:
@@ -372,7 +390,7 @@ class Files:
             self._status.report(f"{path} is in the folder of the open scene, which Save writes: choose another place.")
             return
         scene = saved_scene(self._viewport)
-        if self._document.rain == load_preset("clear"):
+        if self._document.rain == rain_around(scene, load_preset("clear")):
             scene = replace(scene, rain=None)
         missing = lost_in_file(scene, path)
 
@@ -583,7 +601,7 @@ class Recovery:
 
     def _write(self) -> None:
         self._autosaved, self._changed_at = self._viewport.document.state, None
-        scene, stamp, known = saved_scene(self._viewport), self._files.stamp, self._files.known
+        scene, known, home, stamp = saved_scene(self._viewport), self._files.known, self._files.home, self._files.stamp
 
         def take(_: None) -> None:
             self._writing, self._has_failed = None, False
@@ -594,7 +612,7 @@ class Recovery:
                 self._status.report(error, "The autosave can't be written")
             self._has_failed = True
 
-        self._writing = self._tasks.start(lambda: self._autosave.write(scene, stamp, known), take, fail)
+        self._writing = self._tasks.start(lambda: self._autosave.write(scene, home, stamp, known), take, fail)
 
     def _take_entered(self, entered: tuple[bool, RecoveryCandidate | None]) -> None:
         is_alone, found = entered

@@ -187,7 +187,7 @@ class WetLookController:
         uses_capture = source == "recorded" or (source == "auto" and is_sure)
         capture = self._captures.path if uses_capture else None
         order = TransferRequest(self.method, self.settings, self.choice, capture, self._captures.allows_outside)
-        job = make_rainy_job(self._files.open_scene, order)
+        job = make_rainy_job(self._document.scene, self._files.known, order)
         values = {name: getattr(order, name) for name in TransferRequest.__dataclass_fields__}
         self._jobs.start(job, scene_results(self._viewport, MAKE_RAINY_TITLE, Recipe(apply_wet_look, values)))
 

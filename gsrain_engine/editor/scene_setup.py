@@ -1,16 +1,12 @@
 """Set-up of a scene whose file tells neither axes nor unit: which way is up, the scale, the ground, and rain."""
 
-from ..rain.settings import RegionBox
-from ..scene.scene import Scene, is_single_object
+from ..scene.scene import Scene
 from .document import Document
 from .edits.level import Axis, guess_orientation, oriented
 from .viewport_state import ViewportState
 
 SETUP_MM_H = 5.0
 """Rain that the last step of the set-up sets: moderate."""
-
-OBJECT_AIR = RegionBox(minimum_m=(-10.0, -10.0, -10.0), maximum_m=(10.0, 10.0, 10.0))
-"""Region of haze that it sets for a single object, whose background stays dark so that rain shows before it."""
 
 
 class SceneSetup:
@@ -42,8 +38,7 @@ class SceneSetup:
 
     def rain(self) -> None:
         """Let it rain, which ends the set-up."""
-        air = OBJECT_AIR if is_single_object(self._document.scene) else self._document.rain.haze_region
-        self._document.change_rain("Rain", intensity_mm_h=SETUP_MM_H, haze_region=air)
+        self._document.change_rain(f"Intensity {SETUP_MM_H:g} mm/h", intensity_mm_h=SETUP_MM_H)
         self.is_open = False
 
 

@@ -42,6 +42,6 @@ class TrainingController:
         """Start to solve for wet colors that reproduce the capture's images, or those of another folder."""
         path, allowed = self._captures.path, self._captures.allows_outside
         assert path is not None, "a capture is open"
-        job = recolor_job(self._files.open_scene, path, images, allow_outside=allowed)
+        job = recolor_job(self._viewport.document.scene, self._files.known, path, images, allow_outside=allowed)
         recipe = Recipe(recolor_to_images, {"capture": path, "images": images, "allow_outside": allowed})
         self._jobs.start(job, scene_results(self._viewport, job.title, recipe))

@@ -24,7 +24,7 @@ from .export_settings import DEFAULT_SIZE_PX, ExportSettings, Pass, export_files
 from .images import FrameWriter, open_frame_writer
 from .object_labels import draw_labels, label_legend
 from .renderer import Frame, PendingImage, Renderer, RenderMode
-from .sequence import FrameSequence, RigCameraView, find_rig_cameras
+from .sequence import FrameSequence, RigCameraView, common_sky, find_rig_cameras
 
 _PREVIEW_PX = 320
 _PREVIEW_EVERY_S = 0.5
@@ -58,7 +58,7 @@ def export_frames(
             for is_clear in ((True, False) if recording.twin else (False,))
         ]
         yield Progress(0.0, "Looking at the sky")
-        sky = next(iter(sequences.values())).sky(renderer)
+        sky = common_sky(renderer, sequences)
         estimator, drawn = EtaEstimator(len(numbers)), list[_DrawnFrame]()
         for number in (*numbers, None):  # each frame is read back and written after the next one was drawn
             ahead = list[_DrawnFrame]()

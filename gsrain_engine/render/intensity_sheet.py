@@ -3,6 +3,7 @@
 from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import msgspec
@@ -10,12 +11,11 @@ import numpy as np
 from jaxtyping import Bool, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
-from ..rain.settings import RainSettings
 from ..rain.simulation import RainSimulation
 from ..scene.progress import Progress
 from .images import write_image
 from .renderer import Renderer
-from .sequence import FrameSequence
+from .sequence import FrameSequence, common_sky
 from .sky_color import SkyColor
 
 VISIBLE_LEVELS = 4
@@ -64,52 +64,56 @@ class SheetCell:
 
 
 def write_sheet(
-    renderer: Renderer,
-    sequences: Mapping[str, FrameSequence],
-    rain: RainSettings,
-    intensities_mm_h: Sequence[float],
-    path: Path,
+    renderer: Renderer, sequences: Mapping[str, FrameSequence], intensities_mm_h: Sequence[float], path: Path
 ) -> Generator[Progress, None, list[SheetCell]]:
     """Render the first frame of each view (`sequences` by name) in each intensity, and write the sheet.
 
-    Apart from their intensity all have the same rain and seed. The view without rain is the scene as it is, dry.
+    Each image is the one that `export_frames` writes of the view in that rain. Apart from their intensity, whose
+    keyframes do not count, all have the rain, keyframes and seed of the view. Changes are those from the scene as it
+    is, dry.
+
     Yields progress before each image, and returns the cells. Raises OSError if the sheet can't be written.
     """
-    sky = next(iter(sequences.values())).sky(renderer)
     cells: list[SheetCell] = []
     count = len(sequences) * len(intensities_mm_h)
+    skies: dict[float, SkyColor] = {}
     for view, sequence in sequences.items():
-        clear = sequence.frame(renderer, 0, None).to_uint8()
+        clear = sequence.image(renderer, 0, None)
         for intensity in intensities_mm_h:
             yield Progress(len(cells) / count, f"{view} {intensity:g} mm/h".lstrip())
-            own = msgspec.structs.replace(rain, intensity_mm_h=intensity)
-            cells.append(_cell(renderer, sequence, view, own, sky if intensity else None, clear))
+            rainy = {name: _in_rain(each, intensity_mm_h=intensity) for name, each in sequences.items()}
+            if intensity not in skies:
+                skies[intensity] = common_sky(renderer, rainy)
+            cells.append(_cell(renderer, rainy[view], view, skies[intensity], clear))
     write_image(path, Image.fromarray(intensity_sheet(cells)))
     return cells
 
 
-def _cell(
-    renderer: Renderer,
-    sequence: FrameSequence,
-    view: str,
-    rain: RainSettings,
-    sky: SkyColor | None,
-    clear: UInt8[np.ndarray, "h w 3"],
-) -> SheetCell:
-    def drawn(settings: RainSettings) -> UInt8[np.ndarray, "h w 3"]:
-        return replace(sequence, rainfall=RainSimulation.start(settings)).frame(renderer, 0, sky).to_uint8()
+def _in_rain(sequence: FrameSequence, **changes: Any) -> FrameSequence:
+    rainfall = sequence.rainfall
+    rain = msgspec.structs.replace(rainfall.rain, **changes)
+    weather = rainfall.weather.without("intensity_mm_h")
+    return replace(sequence, rainfall=RainSimulation.start(rain, rainfall.calibration, weather))
 
-    image = drawn(rain)
-    streaks_drawn = renderer.statistics.drops_drawn if sky is not None else 0
-    streaks = _visible_change(image, drawn(msgspec.structs.replace(rain, streaks=False))) if sky is not None else None
+
+def _cell(
+    renderer: Renderer, sequence: FrameSequence, view: str, sky: SkyColor, clear: UInt8[np.ndarray, "h w 3"]
+) -> SheetCell:
+    intensity = sequence.rainfall.rain.intensity_mm_h
+    image = sequence.image(renderer, 0, sky)
+    streaks_drawn = streaks = 0
+    if intensity > 0:
+        streaks_drawn = renderer.statistics.drops_drawn
+        changed = _visible_change(image, _in_rain(sequence, streaks=False).image(renderer, 0, sky))
+        streaks = cv2.connectedComponents(changed.astype(np.uint8), connectivity=8)[0] - 1
     return SheetCell(
         view,
-        rain.intensity_mm_h,
+        intensity,
         image,
         float(np.abs(image.astype(np.int16) - clear).mean()),
         float(_visible_change(image, clear).mean()),
         streaks_drawn,
-        0 if streaks is None else cv2.connectedComponents(streaks.astype(np.uint8), connectivity=8)[0] - 1,
+        streaks,
     )
 
 

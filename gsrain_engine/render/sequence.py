@@ -1,5 +1,6 @@
 """Frame sequences: cameras and times of a video; frame k doesn't depend on the other frames."""
 
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
@@ -290,6 +291,11 @@ class FrameSequence:
             replace(self.shot_at(float(place)), time_s=float(t), exposure_share=1 / k)
             for place, t in zip(places, times, strict=True)
         ]
+
+
+def common_sky(renderer: Renderer, sequences: Mapping[str, FrameSequence]) -> SkyColor:
+    """Sky that gives the drops of all cameras of a picture their color: sampled from the first one's start."""
+    return next(iter(sequences.values())).sky(renderer)
 
 
 _STEP_S = 0.005  # half the time span for velocities: tracks are linear between samples 100 ms apart

@@ -39,6 +39,22 @@ render room.ply -o a.png --meters-per-unit 0         | --meters-per-unit
 render room.ply -o a.png --labels coco               | --labels coco
 render room.ply -o a.png --camera camera.json --camera-path p | --camera and --camera-path
 render room.ply -o a.png --camera camera.json --frame 3 | --frame 3
+render room.ply -o a.png --frame 5                   | --frame 5
+render room.ply -o a.png --frame 0                   | --frame 0
+render room.ply -o a.png --duration 2                | --duration
+render room.ply -o a.png --to 2                      | --to
+render room.ply -o a.png --fps 10                    | --fps
+render room.ply -o a.png --quality 50                | --quality
+render room.ply -o a.png --mode depth --rain 5       | --rain
+render room.ply -o a.png --mode depth --preset 8.5   | --preset
+render scene -o a.png --cameras one --camera camera.json | --camera
+render scene -o a.png --cameras one --camera-path p  | --camera-path
+render room.ply -o a.png --sheet 0,5 --rain 8.5      | --rain
+render room.ply -o a.png --sheet 0,5 --mode depth    | --mode
+render room.ply -o a.png --sheet 0,5 --clear-pair    | --clear-pair
+render room.ply -o a.png --sheet 0,5 --passes depth  | --passes
+render room.ply -o a.jpg --sheet 0,5 --quality 50    | --quality
+render room.ply -o a.mp4 --sheet 0,5                 | a.mp4
 render scene -o a.png --cameras one --speed 3        | --speed 3
 render scene -o a.png --frame 161                    | --frame 161
 render scene -o a.mp4 --duration 0                   | --duration 0

@@ -3,23 +3,30 @@
 from concurrent.futures import wait as wait_for
 from contextlib import closing, suppress
 
+import msgspec
 import numpy as np
 import pytest
 
+from editor.files.open_document import settle
 from gsrain_engine.disdrometer.netcdf import write_spectra
 from gsrain_engine.disdrometer.virtual import VirtualDisdrometer
+from gsrain_engine.editor.document import OBJECT_AIR, with_preset
 from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.edits.level import set_length
 from gsrain_engine.editor.edits.members import set_visible
 from gsrain_engine.editor.edits.rain_keyframes import replace_keyframes, set_keyframe_number
 from gsrain_engine.editor.jobs.job import JobError
-from gsrain_engine.editor.scene_setup import OBJECT_AIR, SETUP_MM_H
+from gsrain_engine.editor.scene_setup import SETUP_MM_H
+from gsrain_engine.presets import shipped_config_names
 from gsrain_engine.rain.calibration import load_calibration
 from gsrain_engine.rain.keyframes import RainKeyframe, RainKeyframes
-from gsrain_engine.rain.settings import HEAVIEST_MM_H, RainSettings
+from gsrain_engine.rain.settings import HEAVIEST_MM_H, RainSettings, load_preset
 from gsrain_engine.rain.simulation import RainSimulation
+from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.scene.scene import Layer, Scene
 from oracles.drop_phases import displacement
 from small_scene import patch, small_scene
+from ui.commands.table import INTENSITIES_MM_H, set_intensity
 
 
 def key_shower(editor, first_mm_h=0.0):
@@ -28,13 +35,36 @@ def key_shower(editor, first_mm_h=0.0):
     editor.document.edit_keyframes("Shower", replace_keyframes, RainKeyframes(keys=keys))
 
 
-def test_the_set_up_limits_the_air_around_a_single_object(editor):
-    """Behind it, endless air would be as bright as the rain before it."""
+def test_the_air_around_a_single_object_ends_at_any_intensity(editor, tmp_path):
+    """Behind it, endless air would be as bright as the rain before it; what sets an intensity changes nothing else."""
     pot = patch((0, 0, 0), np.array([1.0, 0, 0]), np.array([0, 0, 1.0]), 5, (0.5, 0.4, 0.3))
-    with closing(Editor(Scene("pot", (Layer("pot", pot),)))) as alone:
-        for each, air in ((editor, None), (alone, OBJECT_AIR)):
-            each.scene_setup.rain()
-            assert (each.document.rain.intensity_mm_h, each.document.rain.haze_region) == (SETUP_MM_H, air)
+    write_scene(Scene("pot", (Layer("pot", pot),)), tmp_path / "pot.ply")
+    write_scene(small_scene(), tmp_path / "road")
+    for name, air in (("pot.ply", OBJECT_AIR), ("road", None), ("pot.ply", OBJECT_AIR)):
+        editor.files.give_up()
+        editor.files.open(str(tmp_path / name))
+        settle(editor)
+        document, before = editor.document, editor.document.rain
+        assert before.haze_region == air
+        editor.scene_setup.rain()
+        assert document.rain == msgspec.structs.replace(before, intensity_mm_h=SETUP_MM_H)
+        for rate in INTENSITIES_MM_H.values():
+            set_intensity(document, rate)
+            assert document.rain == msgspec.structs.replace(before, intensity_mm_h=rate)
+    document.edit("Scale", set_length, 1.0, 100.0)  # what was taken for a pot has the size of a street
+    assert document.rain.haze_region is None and document.rain.intensity_mm_h > 0
+    document.undo()
+    assert document.rain.haze_region == OBJECT_AIR
+
+
+def test_presets_of_an_intensity_change_nothing_else():
+    own = RainSettings(intensity_mm_h=3.0, haze_region=OBJECT_AIR, glass="windshield", seed=4)
+    for name in shipped_config_names("rain"):
+        preset = load_preset(name)
+        is_intensity = preset == RainSettings(intensity_mm_h=preset.intensity_mm_h)
+        assert is_intensity == (name in ("clear", "1.2", "8.5", "12.0"))
+        expected = msgspec.structs.replace(own, intensity_mm_h=preset.intensity_mm_h) if is_intensity else preset
+        assert with_preset(own, preset) == expected
 
 
 def test_a_change_of_a_keyed_field_is_a_key_at_the_present_time(editor):

@@ -58,7 +58,7 @@ def test_the_work_reads_the_colors_that_the_command_keeps_and_keeps_its_own(save
         order = TransferRequest("wet", TransferSettings(seed=seed), CHOICE)
         copy = tmp_path / f"copy_{count}"
         copy.mkdir()
-        list(make_rainy(*make_rainy_job(lambda: (scene, FileCache()), order).inputs(copy)))
+        list(make_rainy(*make_rainy_job(scene, FileCache(), order).inputs(copy)))
         colors = read_recolored(copy / COLORS_FILE)
         assert np.array_equal(colors["layers/road"], known["layers/road"]) == (seed == 0)
         assert len(list(cache.iterdir())) == count

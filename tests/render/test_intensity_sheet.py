@@ -1,16 +1,22 @@
 """Sheets of rain intensities: numbers and images of the small scene."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from PIL import Image
 
 from app.main import run
+from gsrain_engine.editor.jobs import record
 from gsrain_engine.editor.viewport.camera import default_path
 from gsrain_engine.rain.settings import load_preset
 from gsrain_engine.rain.simulation import RainSimulation
+from gsrain_engine.render import intensity_sheet as sheets
 from gsrain_engine.render.cpu.renderer import CpuRenderer
+from gsrain_engine.render.export_settings import ExportSettings
 from gsrain_engine.render.intensity_sheet import SheetCell, intensity_sheet, write_sheet
 from gsrain_engine.render.sequence import FrameSequence
+from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.scene.progress import run_to_end
 from small_scene import small_scene
 
@@ -20,7 +26,7 @@ SIZE = 160, 120
 def cells_of(intensities, path):
     scene, rain = small_scene(), load_preset("8.5")
     sequence = FrameSequence(scene, RainSimulation.start(rain), default_path(scene, *SIZE), *SIZE, start_s=1.0)
-    return run_to_end(write_sheet(CpuRenderer(), {"front": sequence, "rear": sequence}, rain, intensities, path))
+    return run_to_end(write_sheet(CpuRenderer(), {"front": sequence, "rear": sequence}, intensities, path))
 
 
 def test_harder_rain_changes_more_and_no_rain_nothing(tmp_path):
@@ -34,6 +40,31 @@ def test_harder_rain_changes_more_and_no_rain_nothing(tmp_path):
     assert light.streaks_drawn < heavy.streaks_drawn and 0 < heavy.visible_streaks <= heavy.streaks_drawn
     for own, other in zip((clear, light, heavy), others, strict=True):
         np.testing.assert_array_equal(own.image, other.image)
+
+
+def test_each_image_is_the_still_of_the_scene_in_that_rain(tmp_path, monkeypatch):
+    """Cells of the command and of the window's job, of a scene that is saved dry, with wet colors and keyframes."""
+    scene = small_scene()
+    layers = tuple(replace(each, wet_sh=0.5 * each.gaussians.sh) for each in scene.layers)
+    keys = {"keys": [{"time_s": 0.0, "intensity_mm_h": 0.0, "wind_m_s": [3, 0]}, {"time_s": 9.0, "wind_m_s": [0, 9]}]}
+    write_scene(replace(scene, layers=layers, rain={"intensity_mm_h": 0.0}, weather=keys), tmp_path / "scene")
+    command, rates = ["render", str(tmp_path / "scene"), "--size", "96x64", "--time", "1"], (0.0, 20.0)
+    stills = []
+    for rate in rates:
+        assert run([*command, "--rain", str(rate), "-o", str(tmp_path / "still.png")]) == 0
+        stills.append(np.asarray(Image.open(tmp_path / "still.png")))
+    assert not np.array_equal(*stills)
+
+    cells = []
+    monkeypatch.setattr(sheets, "intensity_sheet", lambda found: cells.append(found) or found[0].image)
+    monkeypatch.setattr(record, "SHEET_MM_H", rates)
+    assert run([*command, "--sheet", "0,20", "-o", str(tmp_path / "sheet.png")]) == 0
+    settings = ExportSettings(output=str(tmp_path / "sheet.png"), size_px=(96, 64), first_s=1.0)
+    run_to_end(record.sheet_in_worker(tmp_path / "scene", settings))
+    assert len(cells) == 2
+    for found in cells:
+        for cell, still in zip(found, stills, strict=True):
+            np.testing.assert_array_equal(cell.image, still)
 
 
 def test_the_close_up_has_the_largest_change():
@@ -64,8 +95,6 @@ def test_words_are_wrapped_to_the_width_of_the_image(width):
 
 
 def test_the_command_writes_the_sheet_and_its_numbers(tmp_path, capsys):
-    from gsrain_engine.scene.formats.scene_files import write_scene
-
     write_scene(small_scene(), tmp_path / "scene")
     sheet = tmp_path / "sheet.png"
     arguments = ["render", str(tmp_path / "scene"), "--sheet", "0,12", "--size", "96x64", "--backend", "cpu"]

@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 
 from editor.files.open_document import HeldJob
+from gsrain_engine.editor.autosave import fingerprint_of
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.edits.members import replace_scene
+from gsrain_engine.editor.files import LoadedDocument
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
+from gsrain_engine.scene.formats.scene_folder import FileCache
 from small_scene import small_scene
 from ui.commands.keys import chord
 from window_driver import Driver, imgui
@@ -97,11 +100,11 @@ def test_what_was_kept_is_recovered_and_a_change_on_the_disk_is_asked_about(tmp_
     write_scene(small_scene("crossing"), home)
     before = Driver(tmp_path)
     died = before.editor
-    died.files.home = home
+    opened = LoadedDocument(died.document.scene, str(home), home, fingerprint_of(home), FileCache())
+    died.files.enter(opened, died.document.state)
     member = died.document.scene.members[0]
     marks = SelectionFlags(deleted=BitMask.of(np.arange(len(member.gaussians)) < 100))
     died.document.edit("Delete", replace_scene, died.document.scene.with_member(member.key, marks=marks))
-    died.files.recovery.enter(home, died.document.history.previous)
     died.tick(0.0)
     late = died.files.recovery.now() + 20.0
     died.files.recovery.now = lambda: late

@@ -33,7 +33,16 @@ def test_a_file_of_gaussians_becomes_a_rainy_scene_in_four_actions(driver, tmp_p
         scene = editor.document.scene
         assert scene.ground_m is not None and np.linalg.norm(scene.up) == pytest.approx(1)
         driver.tap("//**/###rain")
-    assert editor.document.rain.intensity_mm_h == 5.0 and not editor.scene_setup.is_open
+    document = editor.document
+    by_bar = document.rain
+    assert by_bar.intensity_mm_h == 5.0 and not editor.scene_setup.is_open
+    document.undo()
+    assert replace(document.rain, intensity_mm_h=5.0) == by_bar
+    driver.tap(f"{driver.panel('Rain')}5")  # means the same there, whatever else the rain has
+    assert document.rain == by_bar
+    document.change_rain("Fog", visibility_m=200.0, glass="windshield")
+    driver.tap(f"{driver.panel('Rain')}8.5")
+    assert document.rain == replace(by_bar, intensity_mm_h=8.5, visibility_m=200.0, glass="windshield")
 
     # What was guessed is corrected: another axis, a known length.
     editor.scene_setup.is_open = True

@@ -172,10 +172,20 @@ def _shows_regions(viewport: Any) -> bool:
 # Rows made from tables
 
 
-def _intensity(name: str, rate: float) -> Command:
+INTENSITIES_MM_H = {"No rain": 0.0, "Light": 1.2, "Moderate": 5.0, "Paper": 8.5, "Heavy": 12.0}
+"""Presets of the intensity: commands, and buttons of the Rain panel."""
+
+
+def set_intensity(document: Any, rate_mm_h: float) -> None:
+    document.change_rain(f"Intensity {rate_mm_h:g} mm/h", intensity_mm_h=rate_mm_h)
+
+
+def intensity_command(name: str) -> Command:
+    """Return the command of one of `INTENSITIES_MM_H`."""
+    rate = INTENSITIES_MM_H[name]
     return Command(
         f"{name} {rate:g} mm/h" if rate else name,
-        lambda document: document.change_rain(f"Intensity {rate:g} mm/h", intensity_mm_h=rate),
+        lambda document: set_intensity(document, rate),
         "Rain",
         help="Set the rainfall intensity, and nothing else; if it has keyframes, at the present time.",
         is_on=lambda document: document.rain_now.intensity_mm_h == rate,
@@ -322,10 +332,7 @@ COMMAND_GROUPS: tuple[tuple[Command, ...], ...] = (
                 is_possible=lambda selection: not selection.is_empty, edit="save-set"),
     ),
     # Rain
-    tuple(
-        _intensity(name, rate)
-        for name, rate in (("No rain", 0.0), ("Light", 1.2), ("Moderate", 5.0), ("Paper", 8.5), ("Heavy", 12.0))
-    ),
+    tuple(map(intensity_command, INTENSITIES_MM_H)),
     (
         Command("Streaks", _toggle_rain("streaks", "Streaks"), "Rain", "", "Draw near drops as streaks.",
                 is_on=_is("document.rain.streaks"), edit="change-rain"),

@@ -25,6 +25,7 @@ from gsrain_engine.rain.settings import (
 )
 from gsrain_engine.scene.sensor import DEFAULT_SENSOR, load_sensor, sensor_names
 
+from ..commands.table import INTENSITIES_MM_H, intensity_command, set_intensity
 from ..widgets import fields
 from ..widgets.fields import (
     LOGARITHMIC,
@@ -46,12 +47,6 @@ from ..widgets.text import readings
 from ..widgets.type_ahead import combo_box
 from .glass import glass_fields
 from .lamps import lamp_fields
-
-_PRESETS = {
-    "clear": "No rain", "1.2": "Light 1.2 mm/h", "5": "Moderate 5 mm/h", "8.5": "Paper 8.5 mm/h",
-    "12.0": "Heavy 12 mm/h", "paper": "Paper settings",
-}  # fmt: skip
-"""Titles of the shipped presets, and of one between them."""
 
 _PRESETS_PER_ROW = 2
 PICK_TOOL = "Drop color"
@@ -121,23 +116,26 @@ def wetness_fields(document: Document, live_rain: LiveRain, beside_px: float = 0
         document.change_rain("Wetness by the intensity" if automatic else "Wetness", wetness=None if automatic else now)
 
 
-@cache
-def _shipped_presets() -> dict[str, RainSettings]:
-    presets = {name: load_preset(name) for name in _PRESETS if name != "5"}
-    return presets | {"5": msgspec.structs.replace(presets["8.5"], intensity_mm_h=5.0)}
-
-
 def _presets(document: Document) -> None:
+    """Draw the presets: of the intensity, and the settings of the paper."""
     width = share_of_width(_PRESETS_PER_ROW)
-    for number, (name, title) in enumerate(_PRESETS.items()):
-        preset = _shipped_presets()[name]
+    for number, (name, rate) in enumerate(INTENSITIES_MM_H.items()):
+        command = intensity_command(name)
         if number % _PRESETS_PER_ROW:
             imgui.same_line()
-        rate = f"{preset.intensity_mm_h:g} mm/h" if preset.intensity_mm_h else "No rain"
-        source = "those of the GSRAIN paper (Wang, Zhang and Chen)" if name == "paper" else "the defaults"
-        help_text = f"{rate}; all other rain settings become {source}."
-        if button(f"{title}###{name}", help_text, width=width, is_on=preset == document.rain_now):
-            document.change_rain(f"Preset {name}", **msgspec.structs.asdict(preset))
+        is_on = document.rain_now.intensity_mm_h == rate
+        if button(f"{command.name}###{rate:g}", command.help, width=width, is_on=is_on):
+            set_intensity(document, rate)
+    imgui.same_line()
+    paper = _paper()
+    help_text = "Set all rain settings to those of the GSRAIN paper (Wang, Zhang and Chen)."
+    if button("Paper settings###paper", help_text, width=width, is_on=paper == document.rain_now):
+        document.change_rain("Preset paper", **msgspec.structs.asdict(paper))
+
+
+@cache
+def _paper() -> RainSettings:
+    return load_preset("paper")
 
 
 def _intensity(document: Document, viewport: ViewportState, playback: Playback, live_rain: LiveRain) -> None:

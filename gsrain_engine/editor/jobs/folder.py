@@ -4,7 +4,7 @@ import os
 import re
 import shutil
 import tempfile
-from collections.abc import Callable, Generator
+from collections.abc import Generator
 from contextlib import ExitStack, contextmanager, suppress
 from datetime import datetime
 from itertools import chain, count
@@ -17,8 +17,6 @@ from ...scene.formats.scene_folder import FileCache, write_scene_folder
 from ...scene.scene import Scene
 
 JOB_FOLDER_PREFIX = "gsrain-job-"
-OpenScene = Callable[[], tuple[Scene, FileCache]]
-"""Returns the scene that is open, and its files."""
 
 
 @contextmanager

@@ -28,7 +28,7 @@ from ...scene.formats.scene_files import read_scene
 from ...scene.formats.scene_folder import FileCache
 from ...scene.progress import Progress, subprogress
 from ...scene.scene import Scene
-from .folder import OpenScene, new_report, write_copy
+from .folder import new_report, write_copy
 from .job import Job
 from .training import COLORS_FILE, HOW_TO_GET_DIFFUSION, SOLVER_PLOTS, require_torch, write_colors
 
@@ -50,17 +50,14 @@ class TransferRequest:
     """True if files outside of the capture's folder that its files refer to may be read."""
 
 
-def make_rainy_job(open_scene: OpenScene, order: TransferRequest) -> Job[Scene]:
-    """Create the job for the scene that is open when it begins.
+def make_rainy_job(scene: Scene, known: FileCache, order: TransferRequest) -> Job[Scene]:
+    """Create the job for a scene; `known` are its files.
 
     The computed wet look is read from the cache of `gsrain render --wet`, or computed and written there.
     """
-    scene, known = open_scene()
     report = new_report(f"{scene.name} made rainy")
 
     def inputs(folder: Path) -> tuple[Path, TransferRequest, Path, Path, Path | None]:
-        nonlocal scene, known
-        scene, known = open_scene()
         cache = None
         if order.method == "wet":
             cache = wet_color_file(scene, wet_settings(order))

@@ -17,6 +17,7 @@ from ...render.export import export_frames, export_sequences, frame_numbers
 from ...render.export_settings import DEFAULT_SIZE_PX, ExportSettings
 from ...render.intensity_sheet import write_sheet
 from ...render.renderer import Renderer
+from ...render.sequence import FrameSequence
 from ...scene.camera_path import CameraPath
 from ...scene.formats.scene_folder import FileCache
 from ...scene.open import load_sorted_scene
@@ -104,10 +105,15 @@ def record_in_worker(folder: Path, recording: ExportSettings) -> Iterator[Progre
 
 def export_scene(renderer: Renderer, scene: Scene, recording: ExportSettings) -> Iterator[Progress]:
     """Record a scene with the rain and the camera path that it is saved with; raises as `record_in_worker` does."""
+    sequences = saved_sequences(scene, recording)
+    yield from export_frames(renderer, recording, sequences, frame_numbers(recording, sequences))
+
+
+def saved_sequences(scene: Scene, recording: ExportSettings) -> dict[str, FrameSequence]:
+    """Frame sequences of a scene with the rain, its keyframes and the camera path that it is saved with."""
     rainfall = RainSimulation.start(rain_of(scene) or RainSettings(), weather=keyframes_of(scene))
     path = own_path(scene, *(recording.size_px or DEFAULT_SIZE_PX))
-    sequences = export_sequences(recording, scene, rainfall, path, in_scene_time=scene.path is not None)
-    yield from export_frames(renderer, recording, sequences, frame_numbers(recording, sequences))
+    return export_sequences(recording, scene, rainfall, path, in_scene_time=scene.path is not None)
 
 
 def sheet_job(scene: Scene, still: ExportSettings, known: FileCache) -> Job[str]:
@@ -121,13 +127,9 @@ def sheet_job(scene: Scene, still: ExportSettings, known: FileCache) -> Job[str]
 def sheet_in_worker(folder: Path, still: ExportSettings) -> Iterator[Progress]:
     """Worker: draw a sheet of `SHEET_MM_H` for the present view of a scene folder."""
     yield Progress(0.0, "Reading the scene")
-    scene = load_sorted_scene(str(folder))
-    rain = rain_of(scene) or RainSettings()
-    path = own_path(scene, *(still.size_px or DEFAULT_SIZE_PX))
-    is_own = scene.path is not None
-    sequences = export_sequences(still, scene, RainSimulation.start(rain), path, in_scene_time=is_own)
+    sequences = saved_sequences(load_sorted_scene(str(folder)), still)
     with open_renderer() as renderer:
-        yield from write_sheet(renderer, sequences, rain, SHEET_MM_H, still.path)
+        yield from write_sheet(renderer, sequences, SHEET_MM_H, still.path)
 
 
 def own_path(scene: Scene, width: int, height: int) -> CameraPath:

@@ -18,12 +18,13 @@ from ...recolor.result import read_recolored, with_colors, write_recolored
 from ...safe_io.errors import MissingInputsError, not_found
 from ...scene.files import SceneFormatError
 from ...scene.formats.scene_files import read_scene
+from ...scene.formats.scene_folder import FileCache
 from ...scene.progress import Progress
 from ...scene.scene import Scene
 from ...training.data import ReconstructionTask
 from ...training.settings import TrainingSettings
 from ...trusted_code import expect_trusted
-from .folder import OpenScene, new_report, write_copy
+from .folder import new_report, write_copy
 from .job import Job
 
 if TYPE_CHECKING:
@@ -103,19 +104,16 @@ SOLVER_PLOTS = {"Residual": ("residual",)}
 
 
 def recolor_job(
-    open_scene: OpenScene, capture: Path, images: Path | None, *, allow_outside: bool = False
+    scene: Scene, known: FileCache, capture: Path, images: Path | None, *, allow_outside: bool = False
 ) -> Job[Scene]:
-    """Create a job that recolors the scene that is open when it begins.
+    """Create a job that recolors a scene; `known` are its files.
 
     `capture` provides the cameras, and the images unless the folder `images` has others under the same names.
     """
-    scene, known = open_scene()
     name = (images or capture).name
     report = new_report(f"{scene.name} to {name}")
 
     def inputs(folder: Path) -> tuple[object, ...]:
-        nonlocal scene, known
-        scene, known = open_scene()
         return write_copy(scene, folder, known), capture, images, folder / COLORS_FILE, report, allow_outside
 
     def read(folder: Path) -> Scene:

@@ -6,11 +6,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from editor.driven import driven, settled
 from editor.files.open_document import HeldJob, answer, delete_every_third, full_disk, keep_now, names_in, settle
+from gsrain_engine.editor.background_edits import reconstruct
+from gsrain_engine.editor.document import Recipe
 from gsrain_engine.editor.edits.members import replace_scene
+from gsrain_engine.editor.job_results import scene_results
+from gsrain_engine.editor.jobs.drive import load_rollout
+from gsrain_engine.editor.viewport_state import PendingScene
 from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
+from gsrain_engine.simulation.rollout_io import write_rollout
 from small_scene import small_scene
 
 
@@ -145,6 +152,117 @@ def test_a_file_changed_by_someone_else_is_noticed(editor, home, tmp_path, label
         settle(editor)
         assert read_scene(tmp_path / "mine").name == "crossing"
     assert (read_scene(home).name, editor.document.scene.name) == (on_disk, here)
+
+
+def bytes_in(folder):
+    return {file: file.read_bytes() for file in folder.rglob("*") if file.is_file()}
+
+
+def test_what_a_job_or_a_program_makes_anew_has_no_folder_until_it_is_saved(editor, home, tmp_path):
+    """Saving it over the scene that it has replaced would remove that one's layers and wet colors from the disk."""
+    files, document, on_disk, made = editor.files, editor.document, bytes_in(home), tmp_path / "made"
+    take = scene_results(editor.viewport, "Reconstruct", Recipe(reconstruct, {}), is_whole=True)
+    scene = small_scene("made")
+    for layers, is_final in ((scene.layers[:1], False), (scene.layers[:2], False), (scene.layers[:1], True)):
+        take(replace(scene, layers=layers), is_final)
+        settle(editor)
+        assert (document.scene.layers, files.home) == (layers, None)
+    assert document.history.labels == ["Opened", "Reconstruct"]
+    document.change_rain("Intensity", intensity_mm_h=3.0)
+    keep_now(editor)  # what is recovered later has no folder, too
+    assert json.loads((files.recovery.autosaved_path / "autosave.json").read_text())["home"] is None
+    files.save()
+    settle(editor)
+    assert files.place_request is not None and files.has_changes and bytes_in(home) == on_disk
+    files.place_request(home)
+    assert editor.status.question.title == "Replace a scene"
+    answer(editor, "Cancel")
+    assert bytes_in(home) == on_disk
+
+    document.go_to_step(0)
+    assert files.home == home
+    document.go_to_step(2)
+    files.save_as(made)
+    settle(editor)
+    assert files.home == made and not files.has_changes and len(read_scene(made).layers) == 1
+    document.go_to_step(0)
+    document.change_rain("Intensity", intensity_mm_h=4.0)
+    files.save()  # each where it belongs, without a question
+    settle(editor)
+    assert editor.status.question is None and files.home == home
+    assert (len(read_scene(home).layers), read_scene(home).rain["intensity_mm_h"]) == (3, 4.0)
+    assert (len(read_scene(made).layers), read_scene(made).rain["intensity_mm_h"]) == (1, 3.0)
+    document.set_contents("Scene of a program", scene, document.rain, "program")
+    assert files.home is None
+
+
+def test_a_scene_replaced_by_what_a_job_has_made_of_it_is_asked_about_after_undo(editor, home):
+    take = scene_results(editor.viewport, "Reconstruct", Recipe(reconstruct, {}), is_whole=True)
+    take(replace(small_scene("made"), layers=small_scene().layers[:1]), True)
+    settle(editor)
+    editor.files.save_as(home)
+    answer(editor, "Replace")
+    assert (read_scene(home).name, editor.files.home) == ("made", home)
+    editor.document.undo()
+    editor.files.save()
+    assert editor.status.question.title == "Changed on disk"
+    answer(editor, "Overwrite")
+    assert len(read_scene(home).layers) == 3 and not editor.files.has_changes
+
+
+def test_jobs_hold_the_scene_for_which_they_were_started(editor, tmp_path):
+    """All kinds of the window that read the document; what becomes of their results is tested below."""
+    editor.viewport.staged = PendingScene("Result of a job", editor.document.scene)  # until it is there, all wait
+    editor.captures.capture, editor.captures.path = [], tmp_path
+    write_rollout(tmp_path / "driven.jsonl", driven()[1])
+    editor.rollouts.playing = load_rollout(tmp_path / "driven.jsonl")
+    editor.wet_look.make()
+    editor.wet_look.preview()
+    editor.training.recolor()
+    editor.rollouts.start()
+    editor.rollouts.video_to(tmp_path / "drive.mp4")
+    editor.render_queue.record_to(tmp_path / "clip.mp4")
+    editor.render_queue.record_still_to(tmp_path / "still.png")
+    editor.render_queue.draw_sheet_to(tmp_path / "sheet.png")
+    waiting = editor.jobs.waiting
+    editor.document.edit("Reconstruct", replace_scene, small_scene("made"), origin="job")
+    for job in waiting:
+        folder = tmp_path / f"{job.title}".replace("/", "_")
+        folder.mkdir()
+        job.inputs(folder)
+        assert read_scene(folder / "scene").name == "crossing", job.title
+    kinds = {"make rainy", "preview", "recolor", "drive", "drive video", "export"}
+    assert {job.kind for job in waiting} == kinds and len(waiting) == 8
+
+
+def test_results_of_jobs_are_left_out_of_a_scene_that_is_another(editor):
+    take = scene_results(editor.viewport, "Apply wet look", Recipe(reconstruct, {}))
+    scene = editor.document.scene
+    rainy = scene.with_member("layers/road", wet_sh=scene.layers[0].gaussians.sh)
+    editor.document.edit("Reconstruct", replace_scene, small_scene("made"), origin="job")
+    assert "crossing" in take(rainy, True)
+    settle(editor)
+    assert not editor.document.scene.has_wet_colors
+    editor.document.undo()
+    assert take(rainy, True) is None
+    settle(editor)
+    assert editor.document.scene.has_wet_colors and editor.files.home is not None
+
+
+def test_a_drive_plays_in_the_scene_that_it_was_started_in_alone(editor, tmp_path, monkeypatch):
+    receivers = []
+    monkeypatch.setattr(editor.jobs, "start", lambda _, receiver: receivers.append(receiver))
+    editor.rollouts.start()
+    write_rollout(tmp_path / "driven.jsonl", driven()[1])
+    found = [load_rollout(tmp_path / "driven.jsonl")]
+    editor.document.edit("Reconstruct", replace_scene, small_scene("made"), origin="job")
+    assert receivers[0](found, True) is not None
+    settled(editor)
+    assert editor.rollouts.opened == found and editor.rollouts.playing is None
+    editor.document.undo()
+    assert receivers[0](found, True) is None
+    settled(editor)
+    assert editor.rollouts.playing is found[0]
 
 
 def test_revert_asks_and_reads_again(editor):
