@@ -91,11 +91,7 @@ class DisdrometerFileError(ValueError):
         super().__init__(f"{path}: {printable_line(reason)}")
 
 
-KNOWN_KINDS = (
-    "OTT Parsivel (telegrams, ASDO's text, station logs, Campbell TOA5, CSV of pyAtmosLogger and SCAMP, NetCDF of "
-    "Cloudnet, ARM and DISDRODB), Thies LNM (telegrams, NetCDF), Joss-Waldvogel RD-80 (text, ARM's NetCDF), "
-    "2DVD (ARM's NetCDF, NASA's tables), APU (NASA's tables), RainSense, what gsrain disdrometer -o writes"
-)
+KNOWN_KINDS = "OTT Parsivel, Thies LNM, Joss-Waldvogel RD-80, 2DVD, APU, RainSense (docs/guide/calibration.md)"
 """Recognized file kinds, for messages."""
 
 
@@ -106,8 +102,7 @@ class UnknownKindError(DisdrometerFileError):
     """
 
     def __init__(self, path: Path, what: str, kind: str | None = None):
-        other = "of any other table of text say which column is what, by --columns FILE.yaml"
-        known = f"{printable_line(what)}; known are {KNOWN_KINDS}; {other}"
+        known = f"{printable_line(what)}; known are {KNOWN_KINDS}; --columns FILE.yaml describes other tables of text"
         self.problem = known if kind is None else f"not a disdrometer file; it is {kind}"
         self.kind = kind
         ValueError.__init__(self, f"{path}: {self.problem}")
