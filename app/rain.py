@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 from jaxtyping import Float64
 
-from gsrain_engine.disdrometer.file_summary import MeasuredFile, MeasurementSummary, open_disdrometer_file
+from gsrain_engine.disdrometer.file_summary import MeasuredFile, MeasurementSummary, open_disdrometer_files
 from gsrain_engine.disdrometer.fit import RatesDisagreeError, calibrate_files
 from gsrain_engine.disdrometer.fit_models import FitOptions, FittedCalibration, FittedRow, fit_sizes
 from gsrain_engine.disdrometer.fit_plot import check_plot_name, write_plot
@@ -60,11 +60,8 @@ def calibrate(
         check_plot_name(plot)
     described = columns and load_columns(columns)
     check_writable(output, plot, json)
-    measured: list[MeasuredFile] = []
     with progress_bar("Reading", len(files)) as advance:
-        for path in files:
-            measured.append(open_disdrometer_file(path, described))
-            advance()
+        measured = open_disdrometer_files(files, described, advance)
     found = [each.measured() for each in measured]
     for each in found:
         print_lines("\n".join(each.lines))

@@ -222,7 +222,7 @@ def detection(
         print_shares(numbers.plain["attribution"], ("detector",), Console(width=_COLUMNS))
     if numbers.drop_sizes:
         print_drop_sizes(numbers.drop_sizes, Console(width=_COLUMNS))
-    for sentence in unnamed_object_notes(numbers):
+    for sentence in detector_notes(numbers):
         print(sentence)
     if video is not None:
         print(f"{video}: {collector.frames} frames")
@@ -324,6 +324,8 @@ class DetectionNumbers:
     settings: dict[str, Any]
     not_named: dict[str, dict[str, int]]
     """Number of objects by detector and class that the detector can't name; they are not scored."""
+    silent: list[str]
+    """Detectors that found nothing in any image without rain."""
     shares: Sequence[Attribution] = ()
     """Shares of the factors of the rain, if it was taken apart."""
     drop_sizes: Sequence[DropSizeScore] = ()
@@ -341,6 +343,7 @@ class DetectionNumbers:
             "settings": self.settings,
             "robustness": finite_numbers({name: asdict(each) for name, each in self.robustness.items()}),
             "not_named": self.not_named,
+            "finds_nothing": self.silent,
             "scores": [summary.plain(each) for each in self.scores],
             "recall_by_distance": [summary.plain(each) for each in self.distances],
             "rows": [row.plain() for row in self.rows],
@@ -391,7 +394,9 @@ def detection_numbers(
         "versions": {name: version_of(name) for name in _PACKAGES},
     }
     distances, robustness = summary.distance_scores(rows), summary.robustness_of(scored)
-    return DetectionNumbers(rows, scored, distances, robustness, settings, not_named)
+    return DetectionNumbers(
+        rows, scored, distances, robustness, settings, not_named, summary.silent_detectors(judgements)
+    )
 
 
 def _not_named(judgements: Sequence[evaluation.DetectionResult]) -> dict[str, dict[str, int]]:
@@ -408,9 +413,14 @@ def _listed(counts: Mapping[str, int]) -> str:
     return ", ".join(f"{name} ({count})" for name, count in counts.items())
 
 
-def unnamed_object_notes(numbers: DetectionNumbers) -> list[str]:
-    """Return a sentence for each detector that has no class for some of the objects."""
-    return [
+def detector_notes(numbers: DetectionNumbers) -> list[str]:
+    """Return a sentence for each detector that finds nothing, or that has no class for some of the objects."""
+    silent = [
+        f"Warning: {name} finds nothing in any clear picture (confidence of {summary.FOUND_FROM:g} or more): its "
+        "description may be wrong in channels, scale, mean, deviation, fit or padding."
+        for name in numbers.silent
+    ]
+    return silent + [
         f"Not asked of {name}, which has no word for them: {_listed(each)}."
         for name, each in numbers.not_named.items()
         if each
@@ -587,7 +597,7 @@ def _report(numbers: DetectionNumbers, figures: list[ReportFigure]) -> RunReport
         title=f"Detection in rain: {settings['source']}",
         settings={name: _output_words(value) for name, value in settings.items()},
         figures=tuple(figures),
-        notes=tuple(unnamed_object_notes(numbers)),
+        notes=tuple(detector_notes(numbers)),
         tables=(
             *([share_table(numbers.shares)] if numbers.shares else []),
             *([_size_table(numbers.drop_sizes)] if numbers.drop_sizes else []),

@@ -10,9 +10,10 @@ from typing import Any
 
 import msgspec
 
-from ..safe_io.limits import read_file
+from ..safe_io.errors import convert_checked
 from .capture import Capture, CaptureError, abbreviated_names, omissions
 from .capture_folder import capture_without_poses
+from .io.arrays import read_json
 from .io.images import images_in
 
 _NAME = re.compile(r"[0-9a-f]{8}-[0-9a-f]{8}(-\d{7})?")
@@ -68,8 +69,8 @@ def _attributes(path: Path, stems: set[str], problems: list[str]) -> dict[str, d
     broken: list[str] = []
     for file in _label_files(path, stems):
         try:
-            rows = msgspec.json.decode(read_file(file), type=list[_LabeledFrame] | _LabeledFrame)
-        except (OSError, msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+            rows = convert_checked(read_json(file), list[_LabeledFrame] | _LabeledFrame)
+        except ValueError as error:
             broken.append(str(CaptureError(f"{file}: no label file of BDD-100K ({error})")))
             continue
         for row in rows if isinstance(rows, list) else [rows]:

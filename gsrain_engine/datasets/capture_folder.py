@@ -24,7 +24,7 @@ from ..scene.files import SceneFormatError
 from .capture import Capture, CaptureError, CaptureFrame, abbreviated_names, check_inside, omissions
 from .io.arrays import read_floats, read_json_object, read_json_rows
 from .io.images import CONVERT, image_size, images_in, read_color, read_labels, read_mask, unread_images_in
-from .layout_hints import nearest_layout
+from .layout_hints import foreign_poses, nearest_layout
 
 CAMERAS, WORLD = "cameras.json", "world.json"
 _NO_POSES = "No poses: these pictures were made of pictures without any; good for evaluation, not for reconstruction."
@@ -199,6 +199,9 @@ def read_image_folder(path: Path) -> Capture:
     """Read a folder of images; broken ones are omitted and listed. Raises `CaptureError` if none is readable."""
     near = nearest_layout(path)
     problems = [] if near is None else [f"Read as pictures alone: nearest to the folder is {near}."]
+    poses = foreign_poses(path)
+    if poses is not None:
+        problems.append(f"Read as pictures alone: {poses}.")
     unread = unread_images_in(_image_folder(path))
     if unread:
         count = f"{len(unread)} more pictures are" if len(unread) > 1 else "1 more picture is"

@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from io import TextIOWrapper
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,8 @@ from .capture import (
 )
 from .geometry import Pose, camera_of_image, checked_camera, estimate_up_direction, rigid_from_quaternion
 from .io.arrays import read_bytes
-from .io.images import image_size, read_color, read_mask
+from .io.images import name_on_disk, oriented_size, read_color, read_mask
+from .io.records import read_point_ply
 
 _LAYOUTS = ("0", "sparse", "sparse/*", "colmap/sparse/*", "colmap_derived/sparse/*", "distorted/sparse/*")
 _IMAGE_FOLDERS = ("images", "input", "image", ".")
@@ -47,15 +49,15 @@ def read_colmap(path: Path) -> Capture:
     COLMAP's layout (masks/NAME.png next to images/, black is masked out) are included.
     COLMAP's newer rigs and frames are ignored. Raises `CaptureError`.
     """
-    model_folder, *others = sorted(_models(path), key=_images_bytes, reverse=True)
+    model_folder, *others = sorted(_models(path), key=lambda folder: _images_file(folder).stat().st_size, reverse=True)
     model = _read_model(model_folder)
     if not model.images:
         raise CaptureError(f"{model_folder}: the model has no registered image")
     unread = abbreviated_names([str(each) for each in others])
     problems = [f"Of several models {model_folder} is the largest; unread: {unread}."] if others else []
-    names_file = model_folder / ("images.bin" if (model_folder / "images.bin").is_file() else "images.txt")
+    names_file = _images_file(model_folder)
     folder = _image_folder(path, model_folder, model, names_file)
-    check_inside(folder, (image.name for image in model.images), names_file)
+    check_inside(folder, (name_on_disk(folder, image.name) for image in model.images), names_file)
     masks = (_mask_file(folder, image.name) for image in model.images)
     check_inside(folder.parent, (str(mask) for mask in masks if mask is not None), names_file)
     images = sorted(model.images, key=lambda image: image.name)
@@ -94,23 +96,33 @@ def _view(model: "ColmapModel", image: "ColmapImage", folder: Path, name: str, s
     except ValueError as error:
         raise CaptureError(f"image {image.name!r}: {error}") from None
     camera = checked_camera(calibration.pinhole(pose), f"camera {calibration.id} or the pose of {image.name!r}")
-    file, mask = folder / image.name, _mask_file(folder, image.name)
-    camera = camera_of_image(camera, image_size(file), str(file))
+    file, mask = folder / name_on_disk(folder, image.name), _mask_file(folder, image.name)
+    size, upright = oriented_size(file, (camera.width, camera.height))
+    camera = camera_of_image(camera, size, str(file))
     mask_source = None if mask is None else partial(read_mask, mask)
-    return CaptureFrame(name, camera, partial(read_color, file), sensor=sensor, lens=lens, mask_source=mask_source)
+    read = partial(read_color, file, upright)
+    return CaptureFrame(name, camera, read, sensor=sensor, lens=lens, mask_source=mask_source)
 
 
 def _models(path: Path) -> list[Path]:
     folders = [path, *(folder for layout in _LAYOUTS for folder in sorted(path.glob(layout)))]
-    return [folder for folder in dict.fromkeys(folders) if _has(folder, ".bin") or _has(folder, ".txt")]
+    return [folder for folder in dict.fromkeys(folders) if _suffix(folder) is not None]
 
 
-def _has(folder: Path, suffix: str) -> bool:
-    return all((folder / f"{name}{suffix}").is_file() for name in ("cameras", "images"))
+def _suffix(folder: Path) -> str | None:
+    """Suffix of a model's files: .bin before .txt; None without a model."""
+    pairs = ((suffix, [folder / f"{name}{suffix}" for name in ("cameras", "images")]) for suffix in (".bin", ".txt"))
+    return next((suffix for suffix, files in pairs if all(file.is_file() for file in files)), None)
 
 
-def _images_bytes(folder: Path) -> int:
-    return max((folder / name).stat().st_size for name in ("images.bin", "images.txt") if (folder / name).is_file())
+def _images_file(folder: Path) -> Path:
+    return folder / f"images{_suffix(folder)}"
+
+
+def _points_file(folder: Path) -> Path | None:
+    """Points of a model: in the format of its other files, in the other one, or as PLY."""
+    files = [folder / f"points3D{suffix}" for suffix in (_suffix(folder), ".bin", ".txt", ".ply")]
+    return next((file for file in files if file.is_file()), None)
 
 
 def _image_folder(path: Path, model_folder: Path, model: "ColmapModel", names_file: Path) -> Path:
@@ -123,7 +135,7 @@ def _image_folder(path: Path, model_folder: Path, model: "ColmapModel", names_fi
     names = [image.name for image in model.images[:10]]
 
     def count(folder: Path) -> int:
-        return sum((folder / name).is_file() for name in names)
+        return sum((folder / name_on_disk(folder, name)).is_file() for name in names)
 
     standard = [base / name for base in above for name in _IMAGE_FOLDERS]
     for folders in (standard, [each for each in (*path.glob("*/"), *path.glob("*/*/")) if each.is_dir()]):
@@ -139,7 +151,9 @@ def _image_folder(path: Path, model_folder: Path, model: "ColmapModel", names_fi
 
 
 def _mask_file(folder: Path, name: str) -> Path | None:
-    candidates = (folder.parent / "masks" / f"{name}.png", folder.parent / "masks" / Path(name).with_suffix(".png"))
+    names = dict.fromkeys((name_on_disk(folder, name), name.replace("\\", "/")))
+    masks = folder.parent / "masks"
+    candidates = [mask for each in names for mask in (masks / f"{each}.png", masks / Path(each).with_suffix(".png"))]
     return next((file for file in candidates if file.is_file()), None)
 
 
@@ -173,6 +187,12 @@ _BROWN = ("SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
 _EQUIDISTANT = ("OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "SIMPLE_FISHEYE", "FISHEYE")
 
 
+PANORAMA_ADVICE = (
+    "cut perspective pictures out of the panoramas, as COLMAP's panorama_sfm.py or nerfstudio's "
+    "ns-process-data --camera-type equirectangular does"
+)
+
+
 @dataclass(frozen=True, slots=True)
 class ColmapCamera:
     """Intrinsics shared by images. The center of the first pixel is (0.5, 0.5), as in GSRAIN."""
@@ -194,9 +214,11 @@ class ColmapCamera:
         if self.model in _EQUIDISTANT:
             return Lens("fisheye", padded)
         usable = ", ".join((*_STRAIGHT, *_BROWN, *_EQUIDISTANT))
+        advice = (
+            PANORAMA_ADVICE if self.model == "EQUIRECTANGULAR" else "COLMAP's image_undistorter makes such pictures"
+        )
         raise CaptureError(
-            f"camera {self.id} has the model {self.model}, which OpenCV doesn't have; usable are {usable}, "
-            "and COLMAP's image_undistorter makes straight pictures of any"
+            f"camera {self.id} has the model {self.model}, which OpenCV doesn't have; usable are {usable}; {advice}"
         )
 
     def pinhole(self, world_to_camera: Pose) -> Camera:
@@ -230,12 +252,12 @@ class ColmapModel:
 
 def _read_model(folder: Path) -> ColmapModel:
     """Read a model, binary or text; raises `CaptureError` for damaged files and unknown cameras."""
-    if _has(folder, ".bin"):
-        points, colors = _points(folder / "points3D.bin")
+    if _suffix(folder) == ".bin":
         cameras, images = _cameras(folder / "cameras.bin"), _images(folder / "images.bin")
     else:
-        points, colors = _text_points(folder / "points3D.txt")
         cameras, images = _text_cameras(folder / "cameras.txt"), _text_images(folder / "images.txt")
+    file = _points_file(folder)
+    points, colors = _NO_POINTS if file is None else _READERS_OF_POINTS[file.suffix](file)
     for camera in cameras.values():
         expected = _PARAMETERS.get(camera.model)
         if expected is None:
@@ -309,9 +331,10 @@ def _images(file: Path) -> tuple[ColmapImage, ...]:
     return tuple(images)
 
 
-def _points(file: Path) -> tuple[Float64[np.ndarray, "p 3"], UInt8[np.ndarray, "p 3"]]:
-    if not file.is_file():
-        return np.zeros((0, 3)), np.zeros((0, 3), np.uint8)
+_Points = tuple[Float64[np.ndarray, "p 3"], UInt8[np.ndarray, "p 3"]]
+
+
+def _points(file: Path) -> _Points:
     data = _ByteCursor(file)
     count = data.count(_POINT.size)
     points, colors = np.empty((count, 3)), np.empty((count, 3), np.uint8)
@@ -339,21 +362,27 @@ def _text_cameras(file: Path) -> dict[int, ColmapCamera]:
 
 
 def _text_images(file: Path) -> tuple[ColmapImage, ...]:
-    """Read two lines an image; the second, with the image's observations, may be empty and is skipped."""
+    """Read two lines an image; the second, with the image's observations, may be empty and is skipped.
+
+    Some programs (NVIDIA's cuSFM) write one line an image: a second line that is no list of observations is an image.
+    """
     images: list[ColmapImage] = []
     lines = _lines(file)
-    for number, line in _records(lines):
+    while (record := next(_records(lines), None)) is not None:
+        number, line = record
         with _expecting(file, number, "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME"):
             _, qw, qx, qy, qz, tx, ty, tz, camera_id, name = line.split(maxsplit=9)
             turn, shift = (float(qw), float(qx), float(qy), float(qz)), (float(tx), float(ty), float(tz))
             images.append(ColmapImage(name, int(camera_id), turn, shift))
-        next(lines, None)
+        following = next(lines, None)
+        if following is not None and _is_image(following[1]):
+            lines = chain([following], lines)
     return tuple(images)
 
 
-def _text_points(file: Path) -> tuple[Float64[np.ndarray, "p 3"], UInt8[np.ndarray, "p 3"]]:
+def _text_points(file: Path) -> _Points:
     rows: list[list[float]] = []
-    for number, line in _records(_lines(file)) if file.is_file() else ():
+    for number, line in _records(_lines(file)):
         with _expecting(file, number, "POINT3D_ID X Y Z R G B ERROR TRACK[] with colors within 0..255"):
             row = [float(each) for each in line.split(maxsplit=7)[1:7]]
             if len(row) != 6 or not all(0 <= color <= 255 for color in row[3:]):
@@ -361,6 +390,34 @@ def _text_points(file: Path) -> tuple[Float64[np.ndarray, "p 3"], UInt8[np.ndarr
             rows.append(row)
     table = np.array(rows, np.float64).reshape(-1, 6)
     return table[:, :3], table[:, 3:].astype(np.uint8)
+
+
+def _is_image(line: str) -> bool:
+    """Return whether a line has an image's ten fields, and is no list of observations: triples of numbers."""
+    fields = line.split(maxsplit=9)
+    if len(fields) < 10 or not (fields[0].isdecimal() and fields[8].isdecimal()):
+        return False
+    words = [*fields[:9], *fields[9].split()]
+    return not (len(words) % 3 == 0 and all(_is_number(word) for word in words))
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _ply_points(file: Path) -> _Points:
+    """Points of points3D.ply, which 3DGS and its kin write in place of points3D.bin; gray without colors."""
+    points, colors = read_point_ply(file)
+    return points, np.full((len(points), 3), _GRAY, np.uint8) if colors is None else colors
+
+
+_GRAY = 128
+_NO_POINTS: _Points = np.zeros((0, 3)), np.zeros((0, 3), np.uint8)
+_READERS_OF_POINTS = {".bin": _points, ".txt": _text_points, ".ply": _ply_points}
 
 
 @contextmanager
@@ -379,7 +436,7 @@ def _records(lines: Iterable[tuple[int, str]]) -> Iterator[tuple[int, str]]:
 
 def _lines(file: Path) -> Iterator[tuple[int, str]]:
     try:
-        with TextIOWrapper(open_file(file, _MAX_TEXT_BYTES), encoding="utf-8") as stream:
+        with TextIOWrapper(open_file(file, _MAX_TEXT_BYTES), encoding="utf-8-sig") as stream:
             for number, line in enumerate(stream, 1):
                 yield number, line.strip()
     except (OSError, UnicodeDecodeError) as error:

@@ -155,6 +155,36 @@ def opencv_camera_of_matrix(matrix: Float64[np.ndarray, "..."], size: tuple[int,
     return opencv_camera((fx, fy), (cx, cy), size, world_to_camera)
 
 
+_MAX_RADIAL_PX = 0.1  # error of a lens that another one stands for, in pixels; calibrations are rarely better
+
+
+def radial_lens(radial: Sequence[float], tangential: tuple[float, float], camera: Camera) -> Lens:
+    """OpenCV's lens for a polynomial 1 + k1 r^2 + k2 r^4 + k3 r^6 + k4 r^8, whose last term OpenCV lacks.
+
+    OpenCV's rational function is fitted to it over the image (RealityCapture, Metashape and nerfstudio have k4).
+    Raises ValueError if that is off by more than 0.1 px, or if the polynomial folds back inside the image.
+    """
+    farthest = [max(center, side - center) for center, side in ((camera.cx, camera.width), (camera.cy, camera.height))]
+    corner = float(np.hypot(farthest[0] / camera.fx, farthest[1] / camera.fy))
+    radii = np.linspace(0, 4 * corner, 4001)
+    bent = radii * np.polynomial.polynomial.polyval(radii**2, [1.0, *radial])
+    rising = np.maximum.accumulate(bent)
+    end = int(np.searchsorted(rising, corner))
+    if end == len(radii) or np.any(np.diff(bent[: end + 1]) <= 0):
+        raise ValueError("has distortion (k1 to k4) that folds back inside the picture")
+    squares, factors = radii[: end + 1] ** 2, bent[1 : end + 1] / radii[1 : end + 1]
+    powers = np.stack([(squares[1:] / squares[-1]) ** k for k in (1, 2, 3)], axis=1)
+    fitted = np.linalg.lstsq(np.hstack([powers, -powers * factors[:, None]]), factors - 1, rcond=None)[0]
+    above, below = 1 + powers @ fitted[:3], 1 + powers @ fitted[3:]
+    k1, k2, k3, k4, k5, k6 = np.concatenate([fitted[:3], fitted[3:]]) / np.tile(squares[-1] ** np.array([1, 2, 3.0]), 2)
+    off_px = max(camera.fx, camera.fy) * float(np.max(np.abs(above / below - factors) * radii[1 : end + 1]))
+    if np.any(below <= 0) or off_px > _MAX_RADIAL_PX:
+        raise ValueError(
+            f"has a fourth radial coefficient k4 = {radial[3]:g}, which OpenCV's lens is {off_px:.2g} px off"
+        )
+    return Lens("opencv", tuple(map(float, (k1, k2, *tangential, k3, k4, k5, k6))))
+
+
 # Scaled images and checks of calibrations
 
 

@@ -11,7 +11,7 @@ from jaxtyping import UInt8
 from ..scene.files import shortened
 from .capture import Capture, CaptureError, CaptureFrame
 from .capture_folder import read_capture_folder, recognizes_capture_folder
-from .io.images import SUFFIXES, image_size, read_color
+from .io.images import SUFFIXES, oriented_size, read_color
 from .undistort import undistort_frame
 
 _MAX_NAME_BYTES = 200  # maximum bytes of a view's file name without the endings of depth, normals and masks
@@ -111,10 +111,10 @@ def sized_image(file: Path, size: tuple[int, int]) -> UInt8[np.ndarray, "h w 3"]
 
     Raises `CaptureError` if it is broken or its aspect ratio differs.
     """
-    width, height = image_size(file)
+    (width, height), upright = oriented_size(file, size, _PROPORTIONS)
     if abs(width * size[1] / (height * size[0]) - 1) > _PROPORTIONS:
         raise CaptureError(f"{file}: is {width}x{height} px, its view is {size[0]}x{size[1]}: other proportions")
-    pixels = read_color(file)
+    pixels = read_color(file, upright)
     if pixels.shape[1::-1] == size:
         return pixels
     shrinking = pixels.shape[1] > size[0]

@@ -2,7 +2,9 @@
 
 from itertools import islice
 from pathlib import Path
+from typing import NamedTuple
 
+from ..safe_io.limits import open_file
 from ..scene.formats.scene_files import scene_files_in
 from .bags.containers import MCAP, METADATA, SQLITE
 from .capture import abbreviated_names
@@ -36,6 +38,27 @@ _KINDS = {
         "v1.0-*/ego_pose.json": "v1.0-*/ego_pose.json ego_pose.json",
         "samples": "samples ../samples",
     },
+    "KITTI-360": {
+        "data_2d_raw": "data_2d_raw image_0[0-3]/data_rect */image_0[0-3]/data_rect",
+        "calibration": "calibration/perspective.txt ../calibration/perspective.txt ../../calibration/perspective.txt",
+        "data_poses": "data_poses ../data_poses ../../data_poses",
+    },
+    "Argoverse 2": {
+        "city_SE3_egovehicle.feather": "city_SE3_egovehicle.feather */city_SE3_egovehicle.feather",
+        "calibration/intrinsics.feather": "calibration/intrinsics.feather */calibration/intrinsics.feather",
+        "sensors/cameras": "sensors/cameras */sensors/cameras",
+    },
+    "PandaSet": {
+        "camera/*/poses.json": "camera/*/poses.json */camera/*/poses.json",
+        "camera/*/intrinsics.json": "camera/*/intrinsics.json */camera/*/intrinsics.json",
+    },
+    "Zenseact Open Dataset": {
+        "ego_motion.json": "ego_motion.json */ego_motion.json sequences/*/ego_motion.json",
+        "calibration.json": "calibration.json */calibration.json sequences/*/calibration.json",
+        "camera_front_blur": "camera_front_* */camera_front_* sequences/*/camera_front_*",
+    },
+    "EuRoC": {"cam0/data": "cam0/data mav0/cam0/data", "cam0/sensor.yaml": "cam0/sensor.yaml mav0/cam0/sensor.yaml"},
+    "TUM RGB-D": {"rgb.txt": "rgb.txt", "groundtruth.txt": "groundtruth.txt", "rgb": "rgb"},
     "DGP": {"scene_*.json": "scene_*.json */scene_*.json", "calibration": "calibration */calibration"},
     "Waymo Perception v2": {
         name: f"{name} */{name}" for name in ("camera_image", "camera_calibration", "vehicle_pose")
@@ -74,7 +97,10 @@ _NO_CLUES = frozenset({"pictures", "its pictures (*.webp)"})
 _OPTIONAL = frozenset({"points3D.bin", "sparse", "database.db", "other transforms", "label_2", "cfg_args", "context"})
 """Parts that identify a kind, but are not required."""
 
+_UNREAD = "it is not read: give a folder of its pictures, or write its poses as those of COLMAP or nerfstudio"
+
 _ADVICE = {
+    **dict.fromkeys(("KITTI-360", "Argoverse 2", "PandaSet", "Zenseact Open Dataset", "EuRoC", "TUM RGB-D"), _UNREAD),
     "KITTI object detection": "it has single pictures and no drives; give its folder image_2",
     "nuScenes": "MMDetection3D's info file (.pkl) in the same folder would do, too",
     "COLMAP": "COLMAP's mapper writes sparse/0 with cameras.bin and images.bin",
@@ -82,6 +108,66 @@ _ADVICE = {
         "that is a trained scene: give point_cloud/iteration_*/point_cloud.ply, and its cameras.json as a camera path"
     ),
 }
+
+
+class _PoseFile(NamedTuple):
+    """File with camera poses of another program, which is not read."""
+
+    program: str
+    patterns: str
+    marks: tuple[bytes, ...]
+    """Alternative words of its first bytes; empty if its name is enough."""
+    advice: str
+
+
+_MARKED_BYTES = 4096
+_PROCESS = "nerfstudio's ns-process-data {0} makes a capture of both"
+_POSE_FILES = (
+    _PoseFile("RealityCapture", "*.csv", (b"#name,x,y,alt", b"#name;x;y;alt"), _PROCESS.format("realitycapture")),
+    _PoseFile("RealityCapture", "*.xmp", (b"capturingreality", b"xcr:"), "export them as COLMAP's text files"),
+    _PoseFile("Metashape", "*.xml", (b"<document version",), _PROCESS.format("metashape")),
+    _PoseFile(
+        "Polycam",
+        "corrected_cameras/*.json cameras/*.json keyframes/corrected_cameras/*.json keyframes/cameras/*.json",
+        (b'"t_00"',),
+        _PROCESS.format("polycam"),
+    ),
+    _PoseFile("Record3D", "metadata", (b'"poses"',), _PROCESS.format("record3d")),
+    _PoseFile("OpenSfM", "reconstruction.json opensfm/reconstruction.json", (), _PROCESS.format("odm")),
+    _PoseFile("OpenMVG", "sfm_data.json", (b"sfm_data_version",), "openMVG_main_openMVG2Colmap writes COLMAP's files"),
+    _PoseFile("Meshroom", "cameras.sfm *.sfm", (), "export them as COLMAP's text files"),
+    _PoseFile("Bundler", "bundle.out *.nvm", (b"# bundle file", b"nvm_v3"), "export them as COLMAP's text files"),
+    _PoseFile(
+        "MMDetection3D",
+        "*.pkl",
+        (b"\x80",),
+        "info files are read of nuScenes, with samples/ or pictures named by camera beside them",
+    ),
+)
+
+
+def foreign_poses(path: Path) -> str | None:
+    """Files with poses of other programs in a folder, or next to the folder of pictures that it is."""
+    for folder in (path, path.resolve().parent) if path.name.lower() in _PICTURE_FOLDERS else (path,):
+        for kind in _POSE_FILES:
+            for pattern in kind.patterns.split():
+                files = [file for file in islice(sorted(folder.glob(pattern)), 1) if _has_mark(file, kind.marks)]
+                if files:
+                    name = files[0].relative_to(folder).as_posix()
+                    return f"{name} has poses of {kind.program}, which are not read: {kind.advice}"
+    return None
+
+
+_PICTURE_FOLDERS = ("images", "image", "input", "corrected_images", "rgb", "photos")
+
+
+def _has_mark(file: Path, marks: tuple[bytes, ...]) -> bool:
+    try:
+        with open_file(file) as stream:
+            start = stream.read(_MARKED_BYTES).lower()
+    except OSError:
+        return False
+    return not marks or any(mark in start for mark in marks)
 
 
 def nearest_layout(path: Path) -> str | None:

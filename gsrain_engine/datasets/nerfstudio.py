@@ -11,9 +11,18 @@ from jaxtyping import Float32, Float64, UInt8
 from ..scene.camera import Camera
 from ..scene.lens import Lens
 from .capture import Capture, CaptureError, CaptureFrame, check_inside, omissions, sensor_names, view_names
-from .geometry import Pose, camera_of_image, checked_camera, estimate_up_direction, invert_pose, rigid_from_numbers
+from .colmap import PANORAMA_ADVICE
+from .geometry import (
+    Pose,
+    camera_of_image,
+    checked_camera,
+    estimate_up_direction,
+    invert_pose,
+    radial_lens,
+    rigid_from_numbers,
+)
 from .io.arrays import read_floats, read_json_object, what_is_wrong
-from .io.images import SUFFIXES, image_size, read_color, read_mask, read_stored
+from .io.images import image_size, name_on_disk, oriented_size, read_color, read_mask, read_stored
 from .io.records import read_point_ply
 
 TRANSFORMS = ("transforms.json", "transforms_train.json")
@@ -72,16 +81,15 @@ def read_nerfstudio(path: Path) -> Capture:
 
 
 def _named_files(file: Path, frames: list[dict[str, Any]]) -> Iterator[str]:
-    """All file names in the frames, images with the suffix that Blender omits."""
+    """Names on disk of all files in the frames."""
     for frame in frames:
-        yield _file_path(frame)
-        yield str(_image(file, _file_path(frame)))
-        yield from (str(frame[key]) for key in ("mask_path", *_DEPTH_PATHS, "ply_file_path") if frame.get(key))
+        names = [str(frame[key]) for key in ("mask_path", *_DEPTH_PATHS, "ply_file_path") if frame.get(key)]
+        yield from (name_on_disk(file.parent, name) for name in (_file_path(frame), *names))
 
 
 def _view(file: Path, frame: dict[str, Any], name: str, sensor: str) -> CaptureFrame:
-    picture = _image(file, str(frame["file_path"]))
-    size = image_size(picture)
+    picture = _named(file, frame["file_path"])
+    size, upright = _size(frame, picture)
     pose = invert_pose(rigid_from_numbers(frame["transform_matrix"]) @ _OPENCV_FROM_OPENGL)
     camera = checked_camera(_camera(frame, size, pose), f"{file}, frame {name}")
     mask, depth = frame.get("mask_path"), frame.get("depth_file_path", frame.get("depth_path"))
@@ -89,11 +97,11 @@ def _view(file: Path, frame: dict[str, Any], name: str, sensor: str) -> CaptureF
     return CaptureFrame(
         name,
         camera_of_image(camera, size, str(picture)),
-        partial(read_color, picture),
+        partial(read_color, picture, upright),
         sensor=sensor,
-        lens=_lens(frame),
-        depth_source=partial(_depth, file.parent / str(depth), unit) if depth else None,
-        mask_source=partial(read_mask, file.parent / str(mask)) if mask else None,
+        lens=_lens(frame, camera),
+        depth_source=partial(_depth, _named(file, depth), unit) if depth else None,
+        mask_source=partial(read_mask, _named(file, mask)) if mask else None,
     )
 
 
@@ -101,11 +109,15 @@ def _file_path(frame: dict[str, Any]) -> str:
     return str(frame.get("file_path", "unnamed"))
 
 
-def _image(file: Path, name: str) -> Path:
-    """Path of a frame's image; Blender omits the suffix."""
-    named = file.parent / name
-    guesses = (named, *(named.with_name(named.name + suffix) for suffix in SUFFIXES))
-    return next((guess for guess in guesses if guess.is_file()), named)
+def _named(file: Path, name: Any) -> Path:
+    return file.parent / name_on_disk(file.parent, str(name))
+
+
+def _size(frame: dict[str, Any], picture: Path) -> tuple[tuple[int, int], bool]:
+    """Size of a frame's image, and whether it is the one after its EXIF orientation was applied."""
+    if "w" not in frame or "h" not in frame:
+        return image_size(picture), False
+    return oriented_size(picture, (int(frame["w"]), int(frame["h"])))
 
 
 def _camera(frame: dict[str, Any], size: tuple[int, int], pose: Pose) -> Camera:
@@ -122,17 +134,20 @@ def _camera(frame: dict[str, Any], size: tuple[int, int], pose: Pose) -> Camera:
     return Camera(width, height, float(fx), float(fy), cx, cy, pose)
 
 
-def _lens(frame: dict[str, Any]) -> Lens | None:
+def _lens(frame: dict[str, Any], camera: Camera) -> Lens | None:
     name, usable = str(frame.get("camera_model", "")), (*_PERSPECTIVE_MODELS, *_FISHEYE_MODELS)
     if name not in ("", *usable):
-        raise ValueError(f"has the camera model {name}, which OpenCV doesn't have; usable are {', '.join(usable)}")
+        advice = f"; {PANORAMA_ADVICE}" if name == "EQUIRECTANGULAR" else ""
+        raise ValueError(
+            f"has the camera_model {name}, which OpenCV doesn't have; usable are {', '.join(usable)}{advice}"
+        )
     k1, k2, k3, k4, p1, p2 = (float(frame.get(key, 0.0)) for key in ("k1", "k2", "k3", "k4", "p1", "p2"))
     if not np.isfinite([k1, k2, k3, k4, p1, p2]).all():
         raise ValueError("has distortion that is not finite")
     if frame.get("is_fisheye") or name in _FISHEYE_MODELS:
         return Lens("fisheye", (k1, k2, k3, k4))
     if k4:
-        raise ValueError("has a fourth radial coefficient k4, which OpenCV's perspective lens doesn't have")
+        return radial_lens((k1, k2, k3, k4), (p1, p2), camera)
     return Lens("opencv", (k1, k2, p1, p2, k3)) if any((k1, k2, p1, p2, k3)) else None
 
 
@@ -151,7 +166,7 @@ def _points(
     if not shared.get("ply_file_path"):
         return None, None
     try:
-        points, colors = read_point_ply(file.parent / str(shared["ply_file_path"]))
+        points, colors = read_point_ply(_named(file, shared["ply_file_path"]))
     except CaptureError as error:
         problems.append(f"The points are left out: {error}.")
         return None, None

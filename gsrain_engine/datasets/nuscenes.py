@@ -3,6 +3,7 @@
 The world is the map's (z up); the vehicle's frame is on the ground below the rear axle. Images are rectified.
 """
 
+import codecs
 import re
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -15,6 +16,7 @@ import msgspec
 import numpy as np
 from jaxtyping import Float64
 
+from ..safe_io.errors import readable_validation_error
 from ..safe_io.limits import read_file
 from .capture import Capture, CaptureError, CaptureFrame, check_inside
 from .driving_log import DrivingLog, LidarScan
@@ -155,11 +157,14 @@ def _table(folder: Path, name: str, kind: type[_RowType]) -> dict[str, _RowType]
     """Read the rows of a table by their tokens. Raises `CaptureError`."""
     file = folder / f"{name}.json"
     try:
-        rows: list[Any] = msgspec.json.decode(read_file(file), type=list[kind])
+        content = read_file(file).removeprefix(codecs.BOM_UTF8)
+        rows: list[Any] = msgspec.json.decode(content, type=list[kind])
     except FileNotFoundError:
         raise CaptureError(f"{file}: this table of nuScenes is missing") from None
+    except msgspec.ValidationError as error:
+        raise CaptureError(f"{file}: {readable_validation_error(error, list[kind])}") from None
     except (OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise CaptureError(f"{file}: {error}") from None
+        raise CaptureError(f"{file}: not a JSON file that can be read ({error})") from None
     return {row.token: row for row in rows}
 
 

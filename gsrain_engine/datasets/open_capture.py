@@ -18,7 +18,7 @@ from .colmap import read_colmap, recognizes_colmap
 from .dgp import read_dgp, recognizes_dgp
 from .io.arrays import WRONG_VALUES, what_is_wrong
 from .kitti import read_kitti_odometry, read_kitti_raw, recognizes_kitti_odometry, recognizes_kitti_raw
-from .layout_hints import nearest_layout
+from .layout_hints import foreign_poses, nearest_layout
 from .nerfstudio import read_nerfstudio, recognizes_nerfstudio
 from .nuscenes import read_nuscenes, read_nuscenes_infos, recognizes_nuscenes, recognizes_nuscenes_infos
 from .rainsense import read_rainsense, recognizes_rainsense
@@ -114,8 +114,9 @@ def capture_hint(path: Path) -> str:
     near = None if posed else nearest_layout(path)
     if near is not None:
         return f"; nearest is {near}"
+    poses = None if posed or not path.is_dir() else foreign_poses(path)
     below = abbreviated_names([f"{name} ({kind})" for name, kind in posed or pictures])
-    return f"; give a folder in it: {below}" if below else ""
+    return (f"; {poses}" if poses else "") + (f"; give a folder in it: {below}" if below else "")
 
 
 def _captures_below(path: Path) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:

@@ -2,7 +2,7 @@
 
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from ..safe_io.text_files import printable_line
 from .filter import QualityControlReport, apply_quality_control
 from .measurement import INSTRUMENT as VIRTUAL_INSTRUMENT
 from .open import read_disdrometer
-from .spectra import DisdrometerReading, DropSpectra
+from .spectra import DisdrometerReading, DropSpectra, with_common_lengths
 from .tables import TableColumns
 
 LOWEST_CHECKED_MM_H = 0.5
@@ -240,7 +240,26 @@ def open_disdrometer_file(path: Path, columns: TableColumns | None = None) -> Me
 
     `columns` describes a text table whose header doesn't.
     """
-    reading = read_disdrometer(path, columns)
+    (file,) = open_disdrometer_files([path], columns)
+    return file
+
+
+def open_disdrometer_files(
+    paths: Sequence[Path], columns: TableColumns | None = None, on_progress: Callable[[], None] | None = None
+) -> list[MeasuredFile]:
+    """Read the files of one measurement, as `open_disdrometer_file` does each; calls `on_progress` after each.
+
+    The length of records that no single file tells follows from the times of all (`with_common_lengths`).
+    """
+    readings: list[DisdrometerReading] = []
+    for path in paths:
+        readings.append(read_disdrometer(path, columns))
+        if on_progress is not None:
+            on_progress()
+    return [_measured(path, each) for path, each in zip(paths, with_common_lengths(readings), strict=True)]
+
+
+def _measured(path: Path, reading: DisdrometerReading) -> MeasuredFile:
     if reading.spectra.instrument == VIRTUAL_INSTRUMENT:
         trusted, quality = apply_quality_control(reading.spectra, smallest_mm=0, speed_tolerance=np.inf, fewest_drops=0)
     else:

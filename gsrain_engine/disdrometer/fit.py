@@ -14,7 +14,7 @@ from ..rain.calibration import Calibration, Interval, Provenance, SourceFile, Ve
 from ..rain.settings import RainSettings
 from ..safe_io.limits import file_sha256
 from ..safe_io.text_files import printable_line
-from .file_summary import MeasuredFile, check_rates, open_disdrometer_file
+from .file_summary import MeasuredFile, check_rates, open_disdrometer_files
 from .fit_models import (
     ENOUGH_DROPS,
     FEWEST_MINUTES,
@@ -36,7 +36,7 @@ from .fit_models import (
     sum_minutes,
 )
 from .fit_models import MIN_BIN_DROPS as FEWEST_DROPS_A_ROW
-from .spectra import DropSpectra, SingleDrops
+from .spectra import DropSpectra, SingleDrops, joined_series
 from .tables import TableColumns
 
 
@@ -59,7 +59,7 @@ def fit_calibration(
     options = options or FitOptions()
     measured = measured or trusted
     edges = DropSpectra.concatenate(list(trusted)).diameter_edges_mm  # also checks that they can be joined
-    minutes = Minutes.concatenate([sum_minutes(each) for each in trusted])
+    minutes = Minutes.concatenate([sum_minutes(each) for each in joined_series(trusted) or trusted])
     classes = fitted_classes(minutes, edges, options.smallest_mm)
     speeds = None if trusted[0].velocity_edges_m_s is None else _class_speeds(minutes, trusted[0].diameters_mm)
     middles = trusted[0].diameters_mm
@@ -131,6 +131,9 @@ WET_MINUTE_MM_H = 0.1
 """Minutes with less count as dry: the resolution of most rain gauges."""
 
 
+_MAX_NAMES = 8  # listed in a calibration's source; its provenance lists all files
+
+
 class RatesDisagreeError(ValueError):
     """Drops contradict the instrument's own rain rate; the message names the file and the ratio."""
 
@@ -144,7 +147,7 @@ def calibrate(
     force: bool = False,
 ) -> FittedCalibration:
     """Read files of one instrument and fit a calibration; raises as `open_disdrometer_file` does."""
-    files = [open_disdrometer_file(Path(path), columns) for path in paths]
+    files = open_disdrometer_files([Path(path) for path in paths], columns)
     return calibrate_files(files, name=name, options=options, force=force)
 
 
@@ -163,7 +166,9 @@ def calibrate_files(
     disagreement = rates_problem(files)
     if disagreement is not None and not force:
         raise RatesDisagreeError(f"{disagreement}. Is it rain, and are these its classes?")
-    names = ", ".join(printable_line(each.path.name) for each in files)
+    each_name = [printable_line(each.path.name) for each in files]
+    many = f"{len(files)} files, {each_name[0]} to {each_name[-1]}" if files else "no file"
+    names = ", ".join(each_name) if 0 < len(files) <= _MAX_NAMES else many
     try:
         fitted = fit_calibration(
             [each.trusted for each in files],

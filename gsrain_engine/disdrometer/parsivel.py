@@ -208,12 +208,12 @@ _DIALECTS = (
 
 _FIELD = re.compile(r"^(\d\d):(.*)")
 _FIRST = "01"
-_NEEDED = {"01": "rain rate", "09": "sample interval", "20": "time", "21": "date", "93": "raw spectrum"}
+_NEEDED = {"01": "rain rate", "20": "time", "21": "date", "93": "raw spectrum"}
 
 
 def is_parsivel_telegrams(lines: list[str]) -> bool:
     """Return whether a telegram with a rain rate begins within the first 200 lines."""
-    return any(re.match(r"^01:\d+\.\d+\s*$", line) for line in lines[:200])
+    return any(re.match(r"^01:(\d+\.\d+|NAN)\s*$", line) for line in lines[:200])
 
 
 def read_parsivel_telegrams(path: Path, lines: list[str]) -> DisdrometerReading:
@@ -234,10 +234,10 @@ def _telegram_record(telegram: str) -> SpectrumRecord:
     fields = {match[1]: match[2] for line in telegram.split("\n") if (match := _FIELD.match(line))}
     for field, name in _NEEDED.items():
         if field not in fields:
-            raise RecordError(f"field {field} ({name}) is missing: the telegram is cut off")
+            raise RecordError(f"field {field} ({name}) is missing: the telegram lacks it, or is cut off")
     return SpectrumRecord(
         time=parse_utc(f"{fields['21'].strip()} {fields['20'].strip()}", "%d.%m.%Y %H:%M:%S", "%d.%m.%y %H:%M:%S"),
-        seconds=parse_interval_s(fields["09"]),
+        seconds=parse_interval_s(fields["09"]) if "09" in fields else float("nan"),
         reported_mm_h=parse_rain_rate(fields["01"]),
         counts=parsivel_counts(fields["93"], ";"),
     )

@@ -91,11 +91,7 @@ class DisdrometerFileError(ValueError):
         super().__init__(f"{path}: {printable_line(reason)}")
 
 
-KNOWN_KINDS = (
-    "OTT Parsivel (telegrams, ASDO's text, station logs, Campbell TOA5, CSV of pyAtmosLogger and SCAMP, NetCDF of "
-    "Cloudnet, ARM and DISDRODB), Thies LNM (telegrams, NetCDF), Joss-Waldvogel RD-80 (text, ARM's NetCDF), "
-    "2DVD (ARM's NetCDF, NASA's tables), APU (NASA's tables), RainSense, what gsrain disdrometer -o writes"
-)
+KNOWN_KINDS = "OTT Parsivel, Thies LNM, Joss-Waldvogel RD-80, 2DVD, APU, RainSense (docs/guide/calibration.md)"
 """Recognized file kinds, for messages."""
 
 
@@ -106,8 +102,7 @@ class UnknownKindError(DisdrometerFileError):
     """
 
     def __init__(self, path: Path, what: str, kind: str | None = None):
-        other = "of any other table of text say which column is what, by --columns FILE.yaml"
-        known = f"{printable_line(what)}; known are {KNOWN_KINDS}; {other}"
+        known = f"{printable_line(what)}; known are {KNOWN_KINDS}; --columns FILE.yaml describes other tables of text"
         self.problem = known if kind is None else f"not a disdrometer file; it is {kind}"
         self.kind = kind
         ValueError.__init__(self, f"{path}: {self.problem}")
@@ -139,6 +134,41 @@ class DisdrometerReading:
     """Single drops of a 2DVD, otherwise None."""
     skipped: tuple[str, ...] = ()
     """One sentence with the reason for each skipped record."""
+    length_is_assumed: bool = False
+    """True if neither the file nor its times tell the length of a record, which is the makers' default then."""
+
+
+def with_common_lengths(readings: Sequence[DisdrometerReading]) -> list[DisdrometerReading]:
+    """Take the length of records that no single file tells from the times of all files: one telegram a file."""
+    times = [each.spectra.times for each in readings if each.length_is_assumed]
+    known = [each[~np.isnat(each)] for each in times]
+    seconds = median_step_s(np.unique(np.concatenate([np.empty(0, "M8[ms]"), *known])))
+
+    def common(reading: DisdrometerReading) -> DisdrometerReading:
+        spectra = replace(reading.spectra, seconds=np.full(len(reading.spectra), seconds))
+        return replace(reading, spectra=spectra)
+
+    return [common(each) if each.length_is_assumed else each for each in readings]
+
+
+def joined_series(parts: Sequence[DropSpectra]) -> list[DropSpectra]:
+    """Join the spectra of files that follow one another in time, so that a minute may lie in several files.
+
+    Files that overlap in time are of different places, and stay apart, as do those without times.
+    """
+    series: list[list[DropSpectra]] = []
+    ends: list[np.datetime64] = []
+    with_times = [each for each in parts if len(each) and not np.isnat(each.times).any()]
+    for each in sorted(with_times, key=lambda spectra: spectra.times[0]):
+        half_record = np.timedelta64(round(500 * float(each.seconds[0])), "ms")
+        place = next((k for k, end in enumerate(ends) if end <= each.times[0] - half_record), len(ends))
+        if place == len(ends):
+            series.append([])
+            ends.append(each.times[-1])
+        series[place].append(each)
+        ends[place] = each.times[-1]
+    others = [each for each in parts if len(each) and np.isnat(each.times).any()]
+    return [*(DropSpectra.concatenate(each) for each in series), *others]
 
 
 # Parsing of records
@@ -188,6 +218,7 @@ class SpectrumRecords:
     """Counts in file order."""
     skipped: tuple[str, ...] = ()
     """One sentence with the reason for each unusable record."""
+    length_is_assumed: bool = False
 
     def reading(
         self,
@@ -208,7 +239,7 @@ class SpectrumRecords:
             area_m2=area_m2,
             reported_mm_h=self.reported_mm_h,
         )
-        return DisdrometerReading(spectra=spectra, skipped=self.skipped)
+        return DisdrometerReading(spectra=spectra, skipped=self.skipped, length_is_assumed=self.length_is_assumed)
 
     def by_diameter(
         self,
@@ -256,6 +287,7 @@ def parse_records(
         reported_mm_h=np.array([record.reported_mm_h for record in records]),
         counts=np.stack([record.counts for record in records]),
         skipped=tuple(skipped),
+        length_is_assumed=bool(np.isnan(seconds).all()) and not len(_usable_steps_s(times)),
     )
 
 
@@ -274,9 +306,13 @@ def no_record_left(skipped: Sequence[str]) -> str:
 
 def median_step_s(times: Shaped[np.ndarray, " records"]) -> float:
     """Median time between sorted records in s; `FACTORY_SECONDS` if no step is usable."""
-    steps = np.diff(times) / np.timedelta64(1, "s")
-    near = steps[(steps > 0) & (steps <= LONGEST_RECORD_S)]
+    near = _usable_steps_s(times)
     return float(np.median(near)) if near.size else FACTORY_SECONDS
+
+
+def _usable_steps_s(times: Shaped[np.ndarray, " records"]) -> Float64[np.ndarray, " steps"]:
+    steps = np.diff(times) / np.timedelta64(1, "s")
+    return steps[(steps > 0) & (steps <= LONGEST_RECORD_S)]
 
 
 def parse_drop_counts(values: Sequence[str], expected: int) -> Float64[np.ndarray, " classes"]:

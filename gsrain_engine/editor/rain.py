@@ -93,14 +93,14 @@ class CalibrationTools:
         tables = tuple(path for path in files if path not in described)
 
         def fit() -> "tuple[Sequence[MeasurementSummary], FittedCalibration | ValueError]":
-            from ..disdrometer.file_summary import open_disdrometer_file
+            from ..disdrometer.file_summary import open_disdrometer_files
             from ..disdrometer.fit import calibrate_files
             from ..disdrometer.tables import load_columns
 
             if not tables or len(described) > 1:
                 raise ValueError("choose disdrometer files, and at most one YAML file that describes their columns")
             columns = load_columns(described[0]) if described else None
-            opened = [open_disdrometer_file(path, columns) for path in tables]
+            opened = open_disdrometer_files(tables, columns)
             measured = tuple(each.measured() for each in opened)
             try:
                 return measured, calibrate_files(opened, name=tables[0].name.partition(".")[0], force=force)

@@ -19,6 +19,13 @@ _LONGEST_VALUE = 300  # maximum characters of msgspec's own words, which quote t
 _PLACE = re.compile(r" - at `\$(.*)`$")
 _STEP = re.compile(r"\.([^.\[]+)|\[[^\]]*\]")
 _WRONG_WORD = re.compile(r"Invalid (?:enum )?value ")
+_OTHER_TYPE = re.compile(r"Expected `([a-z]+(?: \| [a-z]+)*)`, got `([a-z]+)`$")
+_TYPES = {
+    "object": "an object of named fields", "array": "a list", "str": "text", "int": "a whole number",
+    "float": "a number", "bool": "true or false", "null": "nothing (null)",
+}  # fmt: skip
+"""Types of JSON by msgspec's names."""
+
 _NO_FIELD = re.compile(r"Object contains unknown field `(.*?)`")
 
 
@@ -44,14 +51,19 @@ def readable_validation_error(error: Exception, kind: Any, values: Any = None) -
     """Return the message of a failed `msgspec.convert(..., kind)`, extended by the allowed values.
 
     `Invalid value 'brak' - at $.behaviour.kind` becomes `Invalid value 'brak', expected brake, cut-in, ... - at ...`;
-    an unknown field gets the most similar field and a list of all. `values` is the input of the conversion: if several
-    tagged objects are possible at a position, the message lists the fields of the tagged one only.
+    an unknown field gets the most similar field and a list of all; types get plain names. `values` is the input of the
+    conversion: if several tagged objects are possible at a position, the message lists the fields of the tagged one
+    only.
     """
     message = " ".join(str(error).split())
     place = _PLACE.search(message)
     steps = [match[1] or "" for match in _STEP.finditer(place[1])] if place else []
     said = printable_line(message if place is None else message[: place.start()], _LONGEST_VALUE)
     found = _NO_FIELD.match(said)
+    other = _OTHER_TYPE.match(said)
+    if other is not None:
+        types, actual = ([_TYPES.get(name, name) for name in names.split(" | ")] for names in other.groups())
+        said = f"Expected {' or '.join(types)}, got {actual[0]}"
     if _WRONG_WORD.match(said):
         words = list(dict.fromkeys(_words(_types(kind, steps[:-1]), steps[-1] if steps else "")))
         said += f", expected {', '.join(words)}" if words else ""

@@ -164,12 +164,18 @@ def test_pictures_of_a_folder_by_a_coco_file(detector, tmp_path, reported, capsy
     classes = dict(enumerate(["car", "truck", "person", "vehicle", "sign"]))
     truth = write_truth(tmp_path / "truth.json", "one.png", classes, boxes)
     command = words(tmp_path / "pictures", detector, "--rain", "50", "--seeds", "2")
-    report = reported(*command, "--truth", truth, "-o", tmp_path / "out")
+    blue = write_red_finder(tmp_path / "blue.onnx", NAMES)
+    blue.with_suffix(".yaml").write_text("decode: end_to_end\nchannels: bgr\n")
+    report = reported(*command, "--detector", blue, "--truth", truth, "-o", tmp_path / "out")
+    printed, page = capsys.readouterr().out, (tmp_path / "out" / "report.html").read_text()
+    assert report["finds_nothing"] == ["blue"]
+    (warning,) = (line for line in " ".join(printed.split()).split("Warning: ")[1:])
+    assert all(word in warning for word in ("blue", "channels", "scale", "fit", "padding")) and "blue finds" in page
     kinds = {(row["picture"], row["intensity_mm_h"], row["seed"]) for row in report["rows"]}
     assert kinds == {("original", 0, 0), ("original", 0, 1), ("rainy", 50, 0), ("rainy", 50, 1)}
     assert {row["class"] for row in report["rows"]} == {"car", "truck", "person", "vehicle"}
-    assert report["not_named"] == {"red": {"sign": 1}}
-    assert "sign (1)" in capsys.readouterr().out and "sign (1)" in (tmp_path / "out" / "report.html").read_text()
+    assert report["not_named"] == {"red": {"sign": 1}, "blue": {"sign": 1}}
+    assert "sign (1)" in printed and "sign (1)" in page
     assert run(command) == BAD_INPUT
     assert "--truth" in capsys.readouterr().err
     assert run([*command, "--truth", str(write_truth(truth, "one.png", classes, boxes[4:]))]) == BAD_INPUT

@@ -196,6 +196,18 @@ def skewed():
     return [*without("/tf_static"), ("/tf_static", "tf2_msgs/msg/TFMessage", time, still)]
 
 
+NV12 = raw_image(np.zeros((4, 4, 1), np.uint8), "nv12", DRIVE.time(0))
+
+
+def test_topics_that_are_left_out_are_named_with_their_encodings(tmp_path):
+    bag = write_bag(tmp_path / "bag", [*drive_messages(DRIVE), ("/rear/image", IMAGE, DRIVE.time(0), NV12)])
+    (problem,) = open_capture(bag).problems
+    assert problem.startswith("/rear/image left out: ") and "nv12" in problem
+    lonely = [*without(IMAGES), ("/rear/image", IMAGE, DRIVE.time(0), NV12)]
+    with pytest.raises(CaptureError, match=r"/rear/image left out: .*nv12"):
+        open_capture(write_bag(tmp_path / "lonely", lonely))
+
+
 @pytest.mark.parametrize(
     ("messages", "named"),
     [

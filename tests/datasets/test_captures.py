@@ -11,15 +11,26 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from colmap_files import POINTS, write_binary, write_pictures, write_text
-from gsrain_engine.datasets.capture import Capture, CaptureError, CaptureFrame, readable_images
+from colmap_files import POINTS, SHIFTS, write_binary, write_pictures, write_text
+from gsrain_engine.datasets.capture import Capture, CaptureError, CaptureFrame, OutsideError, readable_images
 from gsrain_engine.datasets.capture_folder import write_views
 from gsrain_engine.datasets.geometry import project_points
+from gsrain_engine.datasets.image_override import sized_image
 from gsrain_engine.datasets.open_capture import capture_format, open_capture
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.lens import Lens
 
-from .sample_captures import EYES, INTRINSICS, TARGET, UP, points_ply, views, write_bdd100k, write_nerfstudio
+from .sample_captures import (
+    EYES,
+    INTRINSICS,
+    TARGET,
+    UP,
+    opengl_pose,
+    points_ply,
+    views,
+    write_bdd100k,
+    write_nerfstudio,
+)
 
 # Captures and their views
 
@@ -189,6 +200,131 @@ def test_camera_models_of_colmap_are_opencvs(
     assert view.camera.fy == (51 if len(parameters) > 7 else 50)
 
 
+def test_only_panoramas_are_not_for_the_undistorter_of_colmap(tmp_path: Path) -> None:
+    write_pictures(tmp_path / "images")
+    for model, numbers, advice in (("EQUIRECTANGULAR", "64 48", "panorama"), ("DIVISION", "50 50 32 24 0.1", "undist")):
+        write_text(tmp_path / "sparse", camera=f"7 {model} 64 48 {numbers}")
+        with pytest.raises(CaptureError, match=f"camera 7 has the model {model}.*{advice}") as error:
+            open_capture(tmp_path)
+        assert ("image_undistorter" in str(error.value)) == (model == "DIVISION")
+
+
+@pytest.mark.parametrize("second", ["", "3 4 -1 5 6 -1", "1 2 3 4 5 6 7 8 9 10 11 12", None])
+def test_one_line_an_image_is_read_like_two(tmp_path: Path, second: str | None) -> None:
+    """Some programs leave out the line of observations, which others leave empty or fill with numbers."""
+    names = ("a.png", "b 2.png", "c.png", "0004")
+    write_pictures(tmp_path / "images", names[:3])
+    Image.open(tmp_path / "images/a.png").save(tmp_path / "images/0004.png")
+    write_text(tmp_path / "sparse", names)
+    lines = [line for line in (tmp_path / "sparse/images.txt").read_text().splitlines() if " 7 " in line]
+    lines = [each for line in lines for each in ((line,) if second is None else (line, second))]
+    (tmp_path / "sparse/images.txt").write_text("\n".join(lines) + "\n")
+    capture = open_capture(tmp_path)
+    assert [view.name for view in capture] == ["0004", "a", "b 2", "c"] and capture.problems == ()
+    np.testing.assert_allclose(capture[2].camera.world_to_camera[:3, 3], SHIFTS[1])
+
+
+@pytest.mark.parametrize("write", [write_binary, write_text])
+@pytest.mark.parametrize("kind", ["ply", "other"])
+def test_points_of_another_format_than_the_images(tmp_path: Path, write: Any, kind: str) -> None:
+    write(tmp_path / "sparse")
+    write_pictures(tmp_path / "images")
+    for file in (tmp_path / "sparse").glob("points3D.*"):
+        file.unlink()
+    if kind == "ply":
+        (tmp_path / "sparse/points3D.ply").write_bytes(points_ply("binary_little_endian", list(POINTS)))
+    else:
+        other, suffix = (write_text, "txt") if write is write_binary else (write_binary, "bin")
+        other(tmp_path / "other")
+        (tmp_path / f"other/points3D.{suffix}").rename(tmp_path / f"sparse/points3D.{suffix}")
+    capture = open_capture(tmp_path)
+    np.testing.assert_array_equal(capture.points_m, np.array(POINTS)[:, :3])
+    np.testing.assert_array_equal(capture.point_colors, np.array(POINTS)[:, 3:])
+
+
+NAMES_OF_OTHERS = {
+    "sub\\a.jpg": "sub/a.jpg",
+    "sub/a.JPG": "sub/a.jpg",
+    "sub/a.jpg": "sub/a.JPG",
+    "sub/a.jpeg": "sub/a.png",
+    "sub/a.1": "sub/a.1.png",
+    r"C:\Users\me\scan\sub\a.PNG": "sub/a.png",
+    "/home/me/scan/sub/a.png": "sub/a.png",
+}
+"""Names of pictures as other systems write them, and those on the disk."""
+
+
+@pytest.mark.parametrize(("name", "on_disk"), NAMES_OF_OTHERS.items())
+@pytest.mark.parametrize("kind", ["colmap", "nerfstudio"])
+def test_pictures_are_found_by_names_of_other_systems(tmp_path: Path, kind: str, name: str, on_disk: str) -> None:
+    folder = tmp_path / "images" if kind == "colmap" else tmp_path
+    write_pictures(folder, (on_disk, on_disk.replace("a.", "b.")))
+    names = (name, name.replace("a.", "b."))
+    if kind == "colmap":
+        write_text(tmp_path / "sparse", names)
+        for file in (tmp_path / "sparse").iterdir():
+            file.write_bytes(b"\xef\xbb\xbf" + file.read_bytes())  # a byte-order mark, as Windows' editors write it
+    else:
+        frames = [{"file_path": each, "transform_matrix": opengl_pose(EYES[0])} for each in names]
+        (tmp_path / "transforms.json").write_text(json.dumps({**INTRINSICS, "frames": frames}), encoding="utf-8-sig")
+    capture = open_capture(tmp_path)
+    assert (len(capture), capture.problems) == (2, ())
+    assert capture[0].image_file == folder / on_disk and capture[0].image.shape == (48, 64, 3)
+
+
+@pytest.mark.parametrize("name", ["..\\..\\outside.png", "sub\\..\\..\\..\\outside.png"])
+def test_names_of_other_systems_do_not_lead_outside(tmp_path: Path, name: str) -> None:
+    write_pictures(tmp_path, ("outside.png",))
+    write_pictures(tmp_path / "in/images", ("a.png",))
+    (tmp_path / "in/images/sub").mkdir()
+    write_text(tmp_path / "in/sparse", ("a.png", name))
+    with pytest.raises(OutsideError, match="leads out of"):
+        open_capture(tmp_path / "in")
+
+
+@pytest.mark.parametrize("kind", ["colmap", "nerfstudio", "override"])
+def test_pictures_that_are_turned_by_exif_are_turned_for_upright_cameras_only(tmp_path: Path, kind: str) -> None:
+    pixels = np.zeros((48, 64, 3), np.uint8)
+    pixels[:24] = 200, 30, 30  # the upper half as the sensor has it; turned by 90 degrees clockwise, the right half
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    (tmp_path / "images").mkdir()
+    for name in ("a.jpg", "b.jpg"):
+        Image.fromarray(pixels).save(tmp_path / "images" / name, exif=exif, quality=95)
+    images = {}
+    for side, (width, height) in {"upright": (48, 64), "sensor": (64, 48)}.items():
+        if kind == "override":
+            images[side] = sized_image(tmp_path / "images/a.jpg", (width, height))
+            continue
+        if kind == "colmap":
+            write_text(tmp_path / "sparse", ("a.jpg", "b.jpg"), f"7 PINHOLE {width} {height} 50 51 32 24")
+        else:
+            frames = [{"file_path": f"images/{each}.jpg", "transform_matrix": opengl_pose(EYES[0])} for each in "ab"]
+            text = json.dumps({**INTRINSICS, "w": width, "h": height, "frames": frames})
+            (tmp_path / "transforms.json").write_text(text)
+        images[side] = open_capture(tmp_path)[0].image
+    red = {side: image[..., 0] > 100 for side, image in images.items()}
+    assert red["upright"].shape == (64, 48) and red["upright"][:, 26:].all() and not red["upright"][:, :22].any()
+    assert red["sensor"].shape == (48, 64) and red["sensor"][:22].all() and not red["sensor"][26:].any()
+
+
+@pytest.mark.parametrize("radial", [(0.08, -0.12, 0.05, 0.03), (-0.2, 0.05, 0.01, -0.004), (0, 0, 0, 0.02)])
+def test_a_fourth_radial_coefficient_bends_as_it_says(tmp_path: Path, radial: tuple[float, ...]) -> None:
+    numbers = dict(zip(("k1", "k2", "k3", "k4", "p1", "p2"), (*radial, 1e-3, -2e-3), strict=True))
+    write_nerfstudio(tmp_path, {**INTRINSICS, "camera_model": "OPENCV", **numbers})
+    view = open_capture(tmp_path)[0]
+    places = np.stack(np.meshgrid(np.linspace(-0.6, 0.6, 9), np.linspace(-0.4, 0.4, 9)), axis=-1).reshape(-1, 2)
+    local = np.column_stack([places, np.ones(len(places))])
+    pose = view.camera.world_to_camera
+    pixels, _ = project_points((local - pose[:3, 3]) @ pose[:3, :3], view.camera, view.lens)
+    x, y = places.T
+    r2 = x * x + y * y
+    factor = 1 + r2 * (radial[0] + r2 * (radial[1] + r2 * (radial[2] + r2 * radial[3])))
+    u = x * factor + 2 * 1e-3 * x * y - 2e-3 * (r2 + 2 * x * x)
+    v = y * factor + 1e-3 * (r2 + 2 * y * y) - 2 * 2e-3 * x * y
+    np.testing.assert_allclose(pixels, np.stack([50 * u + 32, 51 * v + 24], axis=1), atol=0.01)
+
+
 def test_missing_and_broken_images_are_named_and_the_rest_is_used(tmp_path: Path) -> None:
     names = ("a.png", "b.png", "c.png", "d.png")
     write_binary(tmp_path / "sparse/0", names)
@@ -298,8 +434,8 @@ def test_distortion_of_nerfstudio_is_opencvs(tmp_path: Path, values: dict[str, A
 @pytest.mark.parametrize(
     ("values", "field"),
     [
-        ({"camera_model": "EQUIRECTANGULAR"}, "EQUIRECTANGULAR"),
-        ({"camera_model": "OPENCV", "k4": 0.1}, "fourth radial coefficient"),
+        ({"camera_model": "EQUIRECTANGULAR"}, "panoramas"),
+        ({"camera_model": "OPENCV", "k4": -9}, "(k1 to k4) that folds back"),
         ({"k1": float("nan")}, "not finite"),
         ({"transform_matrix": np.zeros((4, 4)).tolist()}, "without scale or mirroring"),
         ({"transform_matrix": [[1, 2], [3, 4]]}, "12 or 16 numbers"),

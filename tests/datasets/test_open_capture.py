@@ -1,6 +1,7 @@
 """Paths that are no capture, or lead out of one: the nearest kind is named, and outside files need a permission."""
 
 import json
+import shutil
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -53,6 +54,25 @@ NEAREST: list[tuple[Callable[[Path], Path], str]] = [
     (files({"meta.json": b'{"title": "my pictures"}'}), "SOG without its pictures (*.webp)"),
     (SCENES, "a folder of scenes (give one of the files in it: cat.splat, dog.spz)"),
     (files({"drive_0.mcap": b""}), "a ROS 2 bag without metadata.yaml (give the .mcap or .db3"),
+    (
+        files(
+            dict.fromkeys((f"calibration/{name}.feather" for name in ("intrinsics", "egovehicle_SE3_sensor")), b"")
+            | {"city_SE3_egovehicle.feather": b"", "sensors/cameras/ring_front_center/1.jpg": b""}
+        ),
+        "Argoverse 2 (it",
+    ),
+    (
+        files(
+            {
+                "calibration/perspective.txt": b"",
+                "data_2d_raw/2013_05_28_drive_0000_sync/image_00/data_rect/1.png": b"",
+                "data_poses/2013_05_28_drive_0000_sync/poses.txt": b"",
+            }
+        ),
+        "KITTI-360 (it",
+    ),
+    (files({"camera/front_camera/poses.json": b"[]", "camera/front_camera/intrinsics.json": b"{}"}), "PandaSet (it"),
+    (files({"mav0/cam0/data/1.png": b"", "mav0/cam0/sensor.yaml": b""}), "EuRoC (it"),
     (PHONE, "a folder of pictures of formats that can't be read (convert them to JPEG or PNG): IMG_1.HEIC"),
 ]
 
@@ -64,6 +84,42 @@ def test_the_nearest_kind_is_named(
     assert run(["info", str(write(tmp_path))]) == BAD_INPUT
     printed = capsys.readouterr().err
     assert f"nearest is {kind}" in printed and printed.count("\n") == 1
+
+
+POSES_OF_OTHERS = {
+    "cameras.csv": (b"#name,x,y,alt,heading,pitch,roll,f,px,py\n", "RealityCapture"),
+    "cameras.xml": (b'<?xml version="1.0"?>\n<document version="2.0.0">\n<chunk label="Chunk 1">', "Metashape"),
+    "corrected_cameras/17.json": (b'{"t_00": 1.0, "t_01": 0.0}', "Polycam"),
+    "metadata": (b'{"w": 720, "poses": [[0, 0, 0, 1, 0, 0, 0]]}', "Record3D"),
+    "reconstruction.json": (b"[{}]", "OpenSfM"),
+    "sfm_data.json": (b'{"sfm_data_version": "0.3"}', "OpenMVG"),
+    "scan.nvm": (b"NVM_V3\n\n2\n", "Bundler"),
+    "kitti_infos_train.pkl": (b"\x80\x04]\x94.", "MMDetection3D"),
+}
+
+
+@pytest.mark.parametrize("name", POSES_OF_OTHERS)
+def test_poses_of_other_programs_beside_pictures_are_named(name: str, tmp_path: Path) -> None:
+    content, program = POSES_OF_OTHERS[name]
+    for place in (tmp_path / "scan/images", tmp_path / "scan"):  # beside the folder of pictures, and in it
+        write_pictures(tmp_path / "scan/images")
+        files({name: content})(tmp_path / "scan" if place.name == "images" else tmp_path / "scan/images")
+        for opened in (tmp_path / "scan/images", tmp_path / "scan"):
+            if place.name == "images" or opened.name == "images":
+                problems = " ".join(open_capture(opened).problems)
+                assert f"{name} has poses of {program}, which are not read: " in problems
+        shutil.rmtree(tmp_path / "scan")
+    files({"about.xml": b"<gpx/>", "rows.csv": b"a,b\n1,2\n", "metadata": b"{}"})(tmp_path / "other")
+    write_pictures(tmp_path / "other")
+    assert "has poses of" not in " ".join(open_capture(tmp_path / "other").problems)
+
+
+def test_tables_of_other_types_are_named_in_plain_words(tmp_path: Path) -> None:
+    write_nuscenes(tmp_path)
+    (table,) = tmp_path.rglob("sample_data.json")
+    table.write_text('[{"token": 5}]')
+    with pytest.raises(CaptureError, match=r"sample_data.json: Expected text, got a whole number - at `\$\[0\]"):
+        open_capture(tmp_path)
 
 
 def test_paths_that_are_near_to_nothing_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

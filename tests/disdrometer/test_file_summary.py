@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import parsivel_text
 from gsrain_engine.disdrometer.file_summary import RateCheck, check_rates, open_disdrometer_file
 from gsrain_engine.disdrometer.filter import apply_quality_control
 from gsrain_engine.disdrometer.fit import RatesDisagreeError, calibrate
@@ -210,3 +211,45 @@ def test_without_speeds_the_masks_of_speed_are_left_out_and_named():
     assert trusted.counts.sum() == 25
     assert [mask.name for mask in report.masks if mask.not_applied] == ["margin fallers", "splashes", "fall speed"]
     assert "not applied" in report.lines[3]
+
+
+# Files of one record each
+
+
+def records(count: int) -> list[parsivel_text.Row]:
+    """Records of 30 s: light rain, then eight times as many drops."""
+    start = np.datetime64("2024-02-19T00:00:30")
+    times = [str(start + np.timedelta64(30 * k, "s")).replace("T", " ") for k in range(count)]
+    return [(time, "NAN", rain() * (1 if k < count // 2 else 8)) for k, time in enumerate(times)]
+
+
+def write_records(folder: Path, dialect, rows: list[parsivel_text.Row], per_file: int) -> list[Path]:
+    folder.mkdir()
+    for k in range(0, len(rows), per_file):
+        lines = [line for line in dialect(rows[k : k + per_file]) if per_file > 1 or not line.startswith("09:")]
+        (folder / f"{k:03d}.txt").write_text("\n".join(lines) + "\n")
+    return sorted(folder.iterdir())
+
+
+@pytest.mark.parametrize("dialect", [parsivel_text.locarno, parsivel_text.telegrams, parsivel_text.asdo])
+def test_files_of_one_record_are_fitted_like_one_file(dialect, tmp_path):
+    """A minute lies in two files, none of which tells that its record lasts half a minute."""
+    rows = records(40)
+    options = FitOptions(intensities_mm_h=(1.5, 12), half_width=0.5, resamples=20)
+    one = write_records(tmp_path / "one", parsivel_text.locarno, rows, 40)
+    whole = calibrate(one, name="rain", options=options)
+    assert len(whole.minute_rate_mm_h) == 20 and whole.minute_rate_mm_h[0] == pytest.approx(2 * RAIN_MM_H, 1e-3)
+    apart = calibrate(write_records(tmp_path / "many", dialect, rows, 1), name="rain", options=options)
+    np.testing.assert_allclose(apart.minute_rate_mm_h, whole.minute_rate_mm_h, rtol=1e-12)
+    assert (apart.records, apart.records_used) == (whole.records, whole.records_used) == (40, 40)
+    assert apart.calibration.rows == whole.calibration.rows
+    assert apart.calibration.provenance is not None and len(apart.calibration.provenance.files) == 40
+    assert len(apart.calibration.source) < 200
+
+
+def test_files_of_two_places_at_one_time_keep_their_minutes(tmp_path):
+    rows, options = records(40), FitOptions(intensities_mm_h=(1.5, 12), half_width=0.5, resamples=0)
+    files = [write_records(tmp_path / name, parsivel_text.locarno, rows, each)
+             for name, each in (("a", 10), ("b", 40))]  # fmt: skip
+    fitted = calibrate([*files[0], *files[1]], name="rain", options=options)
+    assert len(fitted.minute_rate_mm_h) == 40 and fitted.records == 80

@@ -159,7 +159,7 @@ OTHER = "instrument: X\ntime: t\ndrops: x\n"
         (DVD + "time_format: '%Y-%q'", "`time_format` %Y-%q: "),
         (OTT + "drops: x\nquantity: drops_m3_mm", "`quantity`"),
         (DVD + "separator: ','\ndecimal: ','", "`decimal`"),
-        ("[1, 2]", "Expected `object`"),
+        ("[1, 2]", "Expected an object"),
         ("a: *b", "YAML"),
     ],
 )

@@ -120,6 +120,7 @@ class _Contents:
         for topic, reasons in self.faults.items():
             count = f"{len(reasons)} messages of {topic.name}" if len(reasons) > 1 else f"a message of {topic.name}"
             self.problems.append(f"{count} left out: {reasons[0]}")
+        self.problems += [f"{topic.name} left out: {reason}" for topic, reason in self.untouched.items()]
         for child, parents in self.tree.conflicts.items():
             self.problems.append(f"the frame {child!r} has several parents; {', '.join(sorted(parents))} are ignored")
 

@@ -60,7 +60,7 @@ def read_bytes(file: Path, max_bytes: int = MAX_FILE_BYTES) -> bytes:
 def read_text(file: Path, max_bytes: int = MAX_FILE_BYTES) -> str:
     """Read a whole file as UTF-8; raises `CaptureError` that names it."""
     try:
-        return read_bytes(file, max_bytes).decode("utf-8")
+        return read_bytes(file, max_bytes).decode("utf-8-sig")  # without the byte-order mark of Windows
     except UnicodeDecodeError as error:
         raise CaptureError(f"{file}: no text ({error})") from None
 
@@ -120,7 +120,7 @@ def read_json(file: Path) -> Any:
     """Read a JSON file; raises `CaptureError` if it is missing, broken or larger than 1 GB."""
     content = read_bytes(file, _MAX_BYTES)
     try:
-        return json.loads(content.decode("utf-8"))
+        return json.loads(content.decode("utf-8-sig"))
     except (ValueError, RecursionError) as error:
         raise CaptureError(f"{file}: not a JSON file that can be read ({error})") from None
 

@@ -54,6 +54,54 @@ def unread_images_in(folder: Path) -> list[Path]:
     return sorted(file for file in folder.iterdir() if is_image(file, _UNREAD_SUFFIXES)) if folder.is_dir() else []
 
 
+def name_on_disk(folder: Path, name: str) -> str:
+    """Name of a file below a folder for a name that another system wrote; the name itself if there is none.
+
+    Backslashes separate folders; of an absolute path of another machine, the longest end that exists counts;
+    images may have another suffix (.JPG for .jpg or .png), or lack it in the name, as Blender's do.
+    """
+    if "\0" in name or _is_file(folder / name):
+        return name
+    parts = [part for part in name.replace("\\", "/").split("/") if part not in ("", ".")]
+    is_absolute = name.startswith(("/", "\\")) or bool(parts and parts[0].endswith(":"))
+    for start in range(len(parts) if is_absolute else min(len(parts), 1)):
+        below = "/".join(parts[start:])
+        stem, dot, suffix = below.rpartition(".")
+        is_suffixed = f"{dot}{suffix}".lower() in SUFFIXES
+        bare = stem if is_suffixed else below
+        spellings = sorted(SUFFIXES, key=lambda each: each != f".{suffix}".lower())  # the stated format first
+        guesses = [below, *(f"{bare}{each}" for own in spellings for each in (own, own.upper()))]
+        found = next((guess for guess in guesses if _is_file(folder / guess)), None)
+        if found is not None:
+            return found
+    return name
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except OSError:  # name too long
+        return False
+
+
+def oriented_size(file: Path, size: tuple[int, int], tolerance: float = 0.0) -> tuple[tuple[int, int], bool]:
+    """Width and height of an image for a camera of (width, height), and whether its EXIF orientation applies.
+
+    It does if only then the proportions are the camera's, to a pixel or relative `tolerance`: programs that turn the
+    image calibrate the upright one. Raises `CaptureError`.
+    """
+
+    def fits(found: tuple[int, int]) -> bool:
+        off = abs(found[0] * size[1] - found[1] * size[0])
+        return off <= max(*size, tolerance * found[0] * size[1])
+
+    stored = image_size(file)
+    if fits(stored):
+        return stored, False
+    upright = image_size(file, upright=True)
+    return (upright, True) if fits(upright) else (stored, False)
+
+
 def image_size(file: Path, upright: bool = False) -> tuple[int, int]:
     """Width and height in pixels from the file's header; also checks the file's end to detect truncation.
 

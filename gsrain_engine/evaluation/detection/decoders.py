@@ -5,15 +5,15 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Float32, Float64, Int, Int64
+from jaxtyping import Float, Float32, Float64, Int, Int64, Shaped
 
 from ...plugins import DECODERS, Extension, find_extension
 from ...safe_io.limits import check_file, open_file
 from ...safe_io.text_files import printable_line
-from .description import DetectorDescription
+from .description import DetectorDescription, InputRole
 
 _TOLERANCE = 1e-3  # tolerance for confidences outside 0..1 due to rounding
 Output = Float32[np.ndarray, "..."]
@@ -79,15 +79,95 @@ def cell_grid(layout: DecoderInput) -> Float32[np.ndarray, "a 3"]:
 
 
 def _end_to_end(outputs: Sequence[Output], layout: DecoderInput) -> BoxCandidates:
-    """Rows x1 y1 x2 y2 confidence class, without suppression (YOLOv10, Wang et al. 2024)."""
-    rows = _only_table(outputs, layout, 6)
-    confidences, classes = rows[:, 4], np.rint(rows[:, 5]).astype(np.int64)
+    """Rows of corners, confidence and class, without suppression (YOLOv10, Wang et al. 2024)."""
+    columns = layout.description.columns
+    rows = _rows(outputs, layout, len(columns))
+    if "batch" in columns:
+        rows = rows[rows[:, columns.index("batch")] == 0]
+    boxes = rows[:, [columns.index(side) for side in ("x1", "y1", "x2", "y2")]]
+    return _named_boxes(boxes, rows[:, columns.index("confidence")], rows[:, columns.index("class")], layout)
+
+
+def _boxes_scores_classes(outputs: Sequence[Output], layout: DecoderInput) -> BoxCandidates:
+    """Corners, confidences and classes in a table each, and optionally the number of boxes; without suppression.
+
+    Confidences may be the fifth column of the boxes, as MMDeploy writes them.
+    """
+    boxes, *others = outputs
+    boxes = boxes.reshape(-1, boxes.shape[-1]) if boxes.ndim else boxes
+    if boxes.ndim == 2 and boxes.shape[1] == 5:
+        boxes, others = boxes[:, :4], [boxes[:, 4], *others]
+    if boxes.ndim != 2 or boxes.shape[1] != 4 or len(others) not in (2, 3):
+        raise ValueError(f"its outputs {_shapes(outputs)} are not boxes of 4 numbers, their confidences and classes")
+    confidences, classes = others[0].ravel(), others[1].ravel()
+    if not len(boxes) == len(confidences) == len(classes):
+        raise ValueError(f"its outputs {_shapes(outputs)} are not one confidence and one class a box")
+    found = int(others[2].ravel()[0]) if len(others) == 3 and others[2].size else len(boxes)
+    return _named_boxes(boxes[:found], confidences[:found], classes[:found], layout)
+
+
+def _logits(outputs: Sequence[Output], layout: DecoderInput) -> BoxCandidates:
+    """Center and size of each query's box, and logits of its classes (DETR, Carion et al. 2020).
+
+    With one column more than classes, the last means "nothing", and a softmax gives the confidences; otherwise the
+    logistic function does (RT-DETR).
+    """
+    if len(outputs) != 2:
+        raise ValueError(f"its outputs {_shapes(outputs)} are not a table of boxes and one of logits")
+    boxes, logits = (_table(output, layout) for output in outputs)
+    more = logits.shape[1] - layout.classes
+    if boxes.shape[1] != 4 or len(boxes) != len(logits) or more not in (0, 1):
+        raise ValueError(
+            f"its outputs {_shapes(outputs)} are not boxes of 4 numbers and as many rows of logits: "
+            f"{layout.classes}, one a class, or {layout.classes + 1}"
+        )
+    if more:
+        shares = np.exp(logits - logits.max(axis=1, keepdims=True, initial=-np.inf))
+        scores = (shares / shares.sum(axis=1, keepdims=True))[:, :-1]
+    else:
+        scores = 1 / (1 + np.exp(-logits))
+    return _best_classes(_corners(boxes), scores, layout)
+
+
+def _named_boxes(boxes: Output, confidences: Output, classes: Output, layout: DecoderInput) -> BoxCandidates:
+    """Boxes (corners) that the network has chosen, each with its class."""
     _check_confidences(confidences, layout)
+    boxes = _in_pixels(boxes, layout)
     chosen = confidences >= layout.description.least_confidence
-    named = classes[chosen]
+    named = np.rint(classes[chosen]).astype(np.int64)
     if len(named) and (named.min() < 0 or named.max() >= layout.classes):
-        raise ValueError(f"it names class {named.max()}, its classes are 0..{layout.classes - 1}")
-    return BoxCandidates(rows[chosen, :4], confidences[chosen], named)
+        wrong = named.min() if named.min() < 0 else named.max()
+        raise ValueError(f"it names class {wrong}, its classes are 0..{layout.classes - 1}")
+    return BoxCandidates(boxes[chosen], confidences[chosen], named)
+
+
+_MAX_FRACTION = (
+    2.0  # boxes of fractions may reach over the edge of the picture; boxes in pixels all in its corner do not
+)
+
+
+def _in_pixels(boxes: Float32[np.ndarray, "n 4"], layout: DecoderInput) -> Float32[np.ndarray, "n 4"]:
+    """Corners in pixels; ValueError if all boxes together contradict the described unit."""
+    largest = float(np.abs(boxes).max(initial=0))
+    if layout.description.box_unit == "pixel":
+        if 0 < largest <= _MAX_FRACTION:
+            raise ValueError(
+                f"its boxes reach {largest:.3g}: fractions of the picture (box_unit: fraction), not pixels"
+            )
+        return boxes
+    if largest > _MAX_FRACTION:
+        raise ValueError(f"its boxes reach {largest:.4g}: pixels (box_unit: pixel), not fractions of the picture")
+    return boxes * np.array([layout.width, layout.height] * 2, np.float32)
+
+
+def _corners(boxes: Float32[np.ndarray, "n 4"]) -> Float32[np.ndarray, "n 4"]:
+    """Corners of boxes given by center and size."""
+    centers, halves = boxes[:, :2], boxes[:, 2:4] / 2
+    return np.concatenate([centers - halves, centers + halves], axis=1)
+
+
+def _shapes(outputs: Sequence[Output]) -> str:
+    return ", ".join(str(output.shape) for output in outputs)
 
 
 def _yolo(
@@ -98,13 +178,13 @@ def _yolo(
     YOLOv5 and YOLOv6 have an objectness before the scores: confidence is objectness times score. YOLOX (Ge et al. 2021)
     has it too, with centers relative to their cell and log sizes, both in cells.
     """
-    rows = _only_table(outputs, layout, 4 + has_objectness + layout.classes)
-    centers, sizes = rows[:, :2], rows[:, 2:4]
+    rows = _rows(outputs, layout, 4 + has_objectness + layout.classes)
+    boxes = rows[:, :4]
     if in_cells:
         cells = _cells(len(rows), layout)
-        centers, sizes = (centers + cells[:, :2]) * cells[:, 2:], np.exp(sizes) * cells[:, 2:]
+        boxes = np.concatenate([(boxes[:, :2] + cells[:, :2]) * cells[:, 2:], np.exp(boxes[:, 2:]) * cells[:, 2:]], 1)
     scores = rows[:, 4:5] * rows[:, 5:] if has_objectness else rows[:, 4:]
-    return _best_classes(np.concatenate([centers - sizes / 2, centers + sizes / 2], axis=1), scores, layout)
+    return _best_classes(_corners(boxes), scores, layout)
 
 
 def _nanodet(outputs: Sequence[Output], layout: DecoderInput) -> BoxCandidates:
@@ -135,9 +215,9 @@ def _scores_and_bins(
         bins = _by_stride([table for table in tables if table.shape[1] != layout.classes])
         width = bins.shape[1]
     if width < 8 or width % 4 or len(scores) != len(bins):
-        shapes = ", ".join(str(output.shape) for output in outputs)
         raise ValueError(
-            f"its output {shapes} is not nanodet's (cells, {layout.classes} classes + 4 sides of at least 2 distances)"
+            f"its output {_shapes(outputs)} is not nanodet's (cells, {layout.classes} classes + 4 sides of at least "
+            "2 distances)"
         )
     return scores, bins.reshape(len(bins), 4, width // 4)
 
@@ -152,7 +232,8 @@ def _by_stride(tables: list[Float32[np.ndarray, "_ k"]]) -> Float32[np.ndarray, 
 def _best_classes(
     boxes: Float32[np.ndarray, "a 4"], scores: Float32[np.ndarray, "a c"], layout: DecoderInput
 ) -> BoxCandidates:
-    """Each box with its most probable class."""
+    """Each box (corners) with its most probable class."""
+    boxes = _in_pixels(boxes, layout)
     classes = scores.argmax(axis=1).astype(np.int64)
     confidences = np.take_along_axis(scores, classes[:, None], axis=1)[:, 0]
     _check_confidences(confidences, layout)
@@ -160,19 +241,28 @@ def _best_classes(
     return BoxCandidates(boxes[chosen], confidences[chosen], classes[chosen])
 
 
-def _only_table(outputs: Sequence[Output], layout: DecoderInput, columns: int) -> Float32[np.ndarray, "a k"]:
-    """The only output as rows of `columns` numbers, transposed if necessary."""
-    if len(outputs) != 1:
-        raise ValueError(f"it gives {len(outputs)} outputs; decoded as {layout.description.decode} it must give one")
-    table = _table(outputs[0], layout)
-    if table.shape[1] != columns and table.shape[0] == columns:
+def _rows(outputs: Sequence[Output], layout: DecoderInput, columns: int) -> Float32[np.ndarray, "a k"]:
+    """The output with rows of `columns` numbers, transposed if necessary, without the extra columns.
+
+    Other outputs may hold masks, or the same boxes by stride in more axes.
+    """
+    whole = columns + layout.description.extra_columns
+    fitting = [output for output in outputs if output.ndim <= 3 and whole in output.shape]
+    if len(fitting) > 1:
+        raise ValueError(
+            f"its outputs {_shapes(outputs)} are several tables of {whole} columns; decoded as "
+            f"{layout.description.decode} it must give one (outputs: {{NAME: rows}})"
+        )
+    table = _table((fitting or outputs)[0], layout)
+    if table.shape[1] != whole and table.shape[0] == whole:
         table = table.T
-    if table.shape[1] != columns:
+    if table.shape[1] != whole:
+        further = f" and {whole - columns} extra_columns" if whole > columns else ""
         raise ValueError(
             f"its output is {outputs[0].shape}; decoded as {layout.description.decode} with {layout.classes} classes "
-            f"it must have rows of {columns} numbers"
+            f"it must have rows of {columns} numbers{further}"
         )
-    return table
+    return table[:, :columns]
 
 
 def _table(output: Output, layout: DecoderInput) -> Float32[np.ndarray, "a k"]:
@@ -237,6 +327,8 @@ _DECODERS: dict[str, Decoder] = {
     "yolo_objectness": Decoder(partial(_yolo, has_objectness=True)),
     "yolox": Decoder(partial(_yolo, has_objectness=True, in_cells=True)),
     "nanodet": Decoder(_nanodet),
+    "boxes_scores_classes": Decoder(_boxes_scores_classes, is_final=True),
+    "logits": Decoder(_logits, is_final=True),
 }
 
 # Box overlap and suppression
@@ -285,36 +377,78 @@ MAX_SIDE_PX = 8192  # largest side of a network's input
 _POINTER = b"version https://git-lfs"  # first bytes of a Git LFS pointer file
 
 
+class Tensor(NamedTuple):
+    """Input or output of a network."""
+
+    name: str
+    kind: str
+    """Type by onnxruntime: tensor(float)."""
+    shape: tuple[int | None, ...]
+    """None for dynamic axes."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class OnnxModel:
-    """A network with one input (1, 3, height, width) of floats."""
+    """A network with an input (1, 3, height, width) of floats, and possibly others that follow from its size."""
 
     path: Path
-    input_name: str
-    width: int | None
-    """In pixels; None for a dynamic size."""
-    height: int | None
-    output_shapes: tuple[tuple[int | None, ...], ...]
-    """None for dynamic axes."""
+    picture: Tensor
+    further: tuple[tuple[Tensor, InputRole], ...]
+    """Other inputs and what each gets."""
+    outputs: tuple[Tensor, ...]
     metadata: Mapping[str, str]
     _session: Any = field(repr=False)
-    _kind: type[np.floating[Any]] = np.float32
+
+    @property
+    def width(self) -> int | None:
+        """In pixels; None for a dynamic size."""
+        return self.picture.shape[3]
+
+    @property
+    def height(self) -> int | None:
+        return self.picture.shape[2]
 
     @property
     def class_names(self) -> tuple[str, ...] | None:
         """Class names from the metadata of ultralytics exports; None if missing."""
-        try:
-            names = ast.literal_eval(self.metadata.get("names", ""))
-        except (ValueError, SyntaxError, RecursionError, MemoryError):
-            return None
+        names = self._value("names")
         if isinstance(names, dict) and set(names) == set(range(len(names))):
             names = [names[number] for number in range(len(names))]
         return tuple(map(str, names)) if isinstance(names, list) and names else None
 
-    def run(self, picture: Float32[np.ndarray, "1 3 h w"]) -> tuple[Float32[np.ndarray, "..."], ...]:
-        """Run the network; raises ValueError if it fails or returns non-finite numbers."""
+    @property
+    def trained_size(self) -> tuple[int, int] | None:
+        """Width and height in pixels from the metadata of ultralytics exports; None if missing."""
+        sides = self._value("imgsz")
+        sides = [sides, sides] if isinstance(sides, int) else sides
+        if isinstance(sides, list | tuple) and len(sides) == 2 and all(type(side) is int for side in sides):
+            height, width = sides
+            return (width, height) if min(sides) > 0 and max(sides) <= MAX_SIDE_PX else None
+        return None
+
+    @property
+    def keypoint_numbers(self) -> int | None:
+        """Numbers of an object's keypoints from the metadata of ultralytics exports; None if missing."""
+        shape = self._value("kpt_shape")
+        is_shape = isinstance(shape, list | tuple) and len(shape) == 2 and all(type(side) is int for side in shape)
+        return shape[0] * shape[1] if is_shape and min(shape) > 0 else None
+
+    def _value(self, key: str) -> Any:
         try:
-            outputs = self._session.run(None, {self.input_name: picture.astype(self._kind, copy=False)})
+            return ast.literal_eval(self.metadata.get(key, ""))
+        except (ValueError, SyntaxError, RecursionError, MemoryError):
+            return None
+
+    def run(
+        self, picture: Float32[np.ndarray, "1 3 h w"], names: Sequence[str] | None = None
+    ) -> tuple[Float32[np.ndarray, "..."], ...]:
+        """Return the named outputs, or all; raises ValueError if it fails or returns non-finite numbers."""
+        height, width = picture.shape[2:]
+        feeds = {self.picture.name: picture.astype(_KINDS[self.picture.kind], copy=False)}
+        for tensor, role in self.further:
+            feeds[tensor.name] = _further_input(tensor, role, width, height)
+        try:
+            outputs = self._session.run(names, feeds)
         except Exception as error:  # onnxruntime's errors have no other common base class
             raise ValueError(f"{self.path}: fails on a picture: {_first_line(error)}") from None
         for output in outputs:
@@ -327,10 +461,35 @@ class OnnxModel:
         return tuple(output.astype(np.float32, copy=False) for output in outputs)
 
 
-def open_onnx(path: Path) -> OnnxModel:
-    """Open a file for the CPU; raises ValueError with one sentence if it is no network for one image.
+_KINDS = {
+    "tensor(float)": np.float32, "tensor(float16)": np.float16, "tensor(double)": np.float64,
+    "tensor(int64)": np.int64, "tensor(int32)": np.int32, "tensor(bool)": np.bool_,
+}  # fmt: skip
+_FLOATS = ("tensor(float)", "tensor(float16)")
 
-    Raises ModuleNotFoundError with the package to install if onnxruntime is missing.
+_INPUT_ROLES: dict[str, InputRole] = {
+    "orig_target_sizes": "width_height",
+    "im_shape": "height_width",
+    "scale_factor": "ones",
+    "pixel_mask": "ones",
+}
+"""Inputs by the names that RT-DETR and its kin, PaddleDetection and Hugging Face's transformers give them."""
+
+
+def _further_input(tensor: Tensor, role: InputRole, width: int, height: int) -> Shaped[np.ndarray, "..."]:
+    """Value of an input that is no picture; open axes are the batch, then those of the picture."""
+    if role in ("width_height", "height_width"):
+        sides = [width, height] if role == "width_height" else [height, width]
+        return np.array(sides, _KINDS[tensor.kind]).reshape(1, 2)
+    sides = (1, height, width) if len(tensor.shape) == 3 else (1,) * len(tensor.shape)
+    return np.ones([axis or side for axis, side in zip(tensor.shape, sides, strict=True)], _KINDS[tensor.kind])
+
+
+def open_onnx(path: Path, inputs: Mapping[str, InputRole] | None = None) -> OnnxModel:
+    """Open a file for the CPU, with what its inputs get by name.
+
+    Raises ValueError with one sentence if it is no network for one image, and ModuleNotFoundError with the package to
+    install if onnxruntime is missing.
     """
     try:
         import onnxruntime
@@ -346,23 +505,55 @@ def open_onnx(path: Path) -> OnnxModel:
             str(path), _options(onnxruntime), providers=["CPUExecutionProvider"], enable_fallback=0
         )  # with a fallback it would print the error and retry
         # Strings are decoded on access: read them all here, where a decoding error means a damaged file.
-        inputs = [(str(each.name), str(each.type), each.shape) for each in session.get_inputs()]
-        outputs = [_shape(each.shape) for each in session.get_outputs()]
+        given = [(_tensor(each), each.shape) for each in session.get_inputs()]
+        outputs = tuple(_tensor(each) for each in session.get_outputs())
         metadata = dict(session.get_modelmeta().custom_metadata_map)
     except Exception as error:  # onnxruntime's errors have no other common base class
         with open_file(path) as file:
             is_pointer = file.read(len(_POINTER)) == _POINTER
         cause = "it only points to one (git lfs pull fetches it)" if is_pointer else _first_line(error)
+        if "TRT" in cause:
+            cause += "; TensorRT's own nodes run only there: export it without them (YOLOv7: --end2end --max-wh 640)"
         raise ValueError(f"{path}: not an ONNX file that onnxruntime opens: {cause}") from None
-    kinds = {"tensor(float)": np.float32, "tensor(float16)": np.float16}
-    name, kind, axes = inputs[0] if len(inputs) == 1 else ("", "", ())
-    shape = _shape(axes)
-    if kind not in kinds or len(shape) != 4 or shape[0] not in (1, None) or shape[1] != 3:
-        takes = printable_line(", ".join(" ".join(map(str, each)) for each in inputs)) or "nothing"
-        raise ValueError(f"{path}: takes {takes}; a detector takes one picture of floats (1, 3, height, width)")
-    if max(shape[2] or 0, shape[3] or 0) > MAX_SIDE_PX:
-        raise ValueError(f"{path}: takes a picture of {shape[3]} x {shape[2]} px; at most {MAX_SIDE_PX} px a side")
-    return OnnxModel(path, name, shape[3], shape[2], tuple(outputs), metadata, session, kinds[kind])
+    roles: dict[str, InputRole | None] = {tensor.name: _input_role(tensor, inputs or {}) for tensor, _ in given}
+    unknown = [name for name in inputs or () if name not in roles]
+    if unknown:
+        raise ValueError(f"{path}: has no input {unknown[0]!r} (inputs), but {', '.join(roles) or 'none'}")
+    pictures = [tensor for tensor, _ in given if roles[tensor.name] == "picture"]
+    if len(pictures) != 1 or None in roles.values() or not _takes_picture(pictures[0]):
+        takes = ", ".join(f"{tensor.name} {tensor.kind} {axes}" for tensor, axes in given)
+        raise ValueError(
+            f"{path}: takes {printable_line(takes) or 'nothing'}; a detector takes one picture of floats "
+            "(1, 3, height, width), and what its description says (inputs)"
+        )
+    picture = pictures[0]
+    if max(picture.shape[2] or 0, picture.shape[3] or 0) > MAX_SIDE_PX:
+        raise ValueError(
+            f"{path}: takes a picture of {picture.shape[3]} x {picture.shape[2]} px; at most {MAX_SIDE_PX} px a side"
+        )
+    further: list[tuple[Tensor, InputRole]] = [
+        (tensor, role) for tensor, _ in given if tensor != picture and (role := roles[tensor.name])
+    ]
+    return OnnxModel(path, picture, tuple(further), outputs, metadata, session)
+
+
+def _tensor(node: Any) -> Tensor:
+    return Tensor(str(node.name), str(node.type), _shape(node.shape))
+
+
+def _input_role(tensor: Tensor, inputs: Mapping[str, InputRole]) -> InputRole | None:
+    """What an input gets: as described, by a usual name, or the picture for floats of four axes; None if unknown."""
+    role = inputs.get(tensor.name) or _INPUT_ROLES.get(tensor.name)
+    if role is None and tensor.kind in _FLOATS and len(tensor.shape) == 4:
+        return "picture"
+    if role in ("width_height", "height_width") and (len(tensor.shape) != 2 or tensor.shape[1] not in (2, None)):
+        return None
+    return role if role == "picture" or tensor.kind in _KINDS else None
+
+
+def _takes_picture(tensor: Tensor) -> bool:
+    shape = tensor.shape
+    return tensor.kind in _FLOATS and len(shape) == 4 and shape[0] in (1, None) and shape[1] in (3, None)
 
 
 def _options(onnxruntime: Any) -> Any:

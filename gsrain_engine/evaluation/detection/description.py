@@ -1,5 +1,6 @@
 """Detector descriptions: preprocessing and output format of an ONNX file, also as YAML."""
 
+from collections import Counter
 from pathlib import Path
 from typing import Annotated, Literal, get_args
 
@@ -10,8 +11,16 @@ from ...plugins import DECODERS, find_extensions
 from ...presets import load_config, shipped_config_names
 
 _FOLDER = "detectors"
-Decode = Literal["end_to_end", "yolo", "yolo_objectness", "yolox", "nanodet"]
+Decode = Literal[
+    "end_to_end", "yolo", "yolo_objectness", "yolox", "nanodet", "boxes_scores_classes", "logits"
+]  # fmt: skip
 Fit = Literal["letterbox", "letterbox_corner", "stretch"]
+Column = Literal["x1", "y1", "x2", "y2", "confidence", "class", "batch"]
+Classes = Literal["coco", "coco91"]
+InputRole = Literal["picture", "width_height", "height_width", "ones"]
+OutputRole = Literal["boxes", "scores", "classes", "count", "rows"]
+_BOX_COLUMNS: tuple[Column, ...] = ("x1", "y1", "x2", "y2", "confidence", "class")
+TensorName = Annotated[str, Meta(min_length=1)]
 Size = Annotated[int, Meta(ge=32, le=8192)]
 Fraction = Annotated[float, Meta(ge=0, le=1)]
 Deviation = Annotated[float, Meta(gt=0)]
@@ -24,16 +33,55 @@ class DetectorDescription(msgspec.Struct, frozen=True, kw_only=True, forbid_unkn
         str,
         Meta(
             title="Decoding",
-            description="end_to_end: rows x1 y1 x2 y2 confidence class (YOLOv10, YOLO26). yolo: center, size and a "
+            description="end_to_end: rows of `columns` (YOLOv10, YOLO26, YOLOv7 --end2end). yolo: center, size and a "
             "score a class (YOLOv8, YOLO11). yolo_objectness: those with an objectness before the classes (YOLOv5, "
             "YOLOv6, YOLOX exported with --decode_in_inference). yolox: the same relative to grid cells. nanodet: "
-            "class scores and distributions of distances to the four sides. Or a decoder of an installed package.",
+            "class scores and distributions of distances to the four sides. boxes_scores_classes: a table of corners, "
+            "one of confidences and one of classes (RT-DETR, D-FINE, EfficientNMS). logits: a table of centers and "
+            "sizes, and one of logits of the classes (DETR). Or a decoder of an installed package.",
         ),
     ]
     classes: Annotated[
-        tuple[Annotated[str, Meta(min_length=1)], ...] | Literal["coco"] | None,
-        Meta(title="Classes", description="Names in the detector's order; left out: those the ONNX file holds."),
+        tuple[Annotated[str, Meta(min_length=1)], ...] | Classes | None,
+        Meta(
+            title="Classes",
+            description="Names in the detector's order; coco: COCO's 80; coco91: by COCO's category numbers 0 to 90; "
+            "left out: those the ONNX file holds.",
+        ),
     ] = None
+    columns: Annotated[
+        tuple[Column, ...],
+        Meta(title="Columns", description="Columns of rows, in their order (end_to_end)."),
+    ] = _BOX_COLUMNS
+    extra_columns: Annotated[
+        int,
+        Meta(
+            ge=0,
+            le=4096,
+            title="Further columns",
+            description="Number of columns after these that are not of boxes: masks, keypoints (end_to_end, yolo).",
+        ),
+    ] = 0
+    box_unit: Annotated[
+        Literal["pixel", "fraction"],
+        Meta(title="Unit of the boxes", description="pixel: of the network's input. fraction: of its sides, 0..1."),
+    ] = "pixel"
+    inputs: Annotated[
+        dict[TensorName, InputRole],
+        Meta(
+            title="Inputs",
+            description="What each input gets, by its name: picture; width_height or height_width of the network's "
+            "input in pixels; ones. Left out: by usual names.",
+        ),
+    ] = {}
+    outputs: Annotated[
+        dict[TensorName, OutputRole],
+        Meta(
+            title="Outputs",
+            description="What each used output holds, by its name: rows of everything; or boxes, scores, classes and "
+            "their count. Left out: by usual names, or the first one.",
+        ),
+    ] = {}
     input_size_px: Annotated[
         tuple[Size, Size] | None,
         Meta(title="Input", description="Width and height; left out: those the ONNX file fixes.", extra={"unit": "px"}),
@@ -89,6 +137,12 @@ class DetectorDescription(msgspec.Struct, frozen=True, kw_only=True, forbid_unkn
     def __post_init__(self) -> None:
         if self.decode not in decode_names():
             raise ValueError(f"{self.decode!r} is none of {', '.join(decode_names())} - at `$.decode`")
+        if not set(_BOX_COLUMNS) <= set(self.columns) or len(set(self.columns)) < len(self.columns):
+            raise ValueError("needs x1, y1, x2, y2, confidence and class, each once - at `$.columns`")
+        for field, roles in (("inputs", self.inputs), ("outputs", self.outputs)):
+            doubled = next((role for role, count in Counter(roles.values()).items() if count > 1), None)
+            if doubled is not None:
+                raise ValueError(f"names two tensors for {doubled} - at `$.{field}`")
 
 
 def decode_names() -> tuple[str, ...]:

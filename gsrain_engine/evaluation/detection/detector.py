@@ -1,6 +1,7 @@
 """Object detector: an ONNX file with its description, letterboxing, and inference of its format."""
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -8,10 +9,11 @@ import cv2
 import numpy as np
 import platformdirs
 from jaxtyping import Float32, Float64, UInt8
+from msgspec import structs
 
-from ...scene.objects import COCO_CLASSES
+from ...scene.objects import COCO_CATEGORIES, COCO_CLASSES
 from .decoders import DecoderInput, OnnxModel, cell_grid, decode_outputs, decoder, non_maximum_suppression, open_onnx
-from .description import DetectorDescription, Fit, description_names, load_description
+from .description import DetectorDescription, Fit, OutputRole, description_names, load_description
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,12 +38,15 @@ class Detector:
     input_size_px: tuple[int, int]
     """Width and height."""
     _model: OnnxModel = field(repr=False)
+    _outputs: tuple[str, ...] | None = field(repr=False)
+    """Names of the outputs that are decoded, in this order; None for all."""
 
     def detect(self, image: UInt8[np.ndarray, "h w 3"]) -> list[Detection]:
         """Detect objects in an image (RGB), by descending confidence; raises ValueError for outputs of another form."""
         height, width = image.shape[:2]
         placement = letterbox((width, height), self.input_size_px, self.description.fit)
-        outputs = self._model.run(network_input(image, placement, self.input_size_px, self.description))
+        picture = network_input(image, placement, self.input_size_px, self.description)
+        outputs = self._model.run(picture, self._outputs)
         try:
             found = decode_outputs(outputs, DecoderInput(self.description, len(self.classes), *self.input_size_px))
         except ValueError as error:
@@ -67,31 +72,75 @@ def open_detector(path: Path, description: str | Path | None = None) -> Detector
     else inferred from the ONNX file. Raises ValueError with the file's name for files that are no detector or of
     unknown kind, and for a description that does not fit; ModuleNotFoundError if onnxruntime is missing.
     """
-    model = open_onnx(path)
     neighbor = path.with_suffix(".yaml")
     if description is None and neighbor.is_file():
         description = neighbor
-    described = recognize_description(model) if description is None else load_description(description)
+    described = None if description is None else load_description(description)
+    model = open_onnx(path, described and described.inputs)
+    described = described or recognize_description(model)
     try:
-        classes = COCO_CLASSES if described.classes == "coco" else described.classes or model.class_names
+        classes = _SETS.get(described.classes) if isinstance(described.classes, str) else described.classes
+        classes = classes or model.class_names
         if not classes:
             raise ValueError("it names no classes; its description must (classes: coco, or a list)")
         size = _input_size(model, described)
+        outputs = _decoded_outputs(model, described)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
-    return Detector(path.stem, described, classes, size, model)
+    return Detector(path.stem, described, classes, size, model, outputs)
+
+
+_COCO91 = {number: name for name, number in COCO_CATEGORIES.items()}
+_SETS: dict[str, tuple[str, ...]] = {
+    "coco": COCO_CLASSES,
+    "coco91": tuple(_COCO91.get(number, f"unused {number}") for number in range(max(_COCO91) + 1)),
+}
+"""Classes by the names of their sets."""
 
 
 def _input_size(model: OnnxModel, description: DetectorDescription) -> tuple[int, int]:
-    """Width and height in pixels, fixed by the file or given by the description."""
+    """Width and height in pixels: fixed by the file, given by the description, or in the file's metadata."""
     described = description.input_size_px or (None, None)
     for axis, fixed, other in zip(("wide", "high"), (model.width, model.height), described, strict=True):
         if fixed and other and fixed != other:
             raise ValueError(f"its input is {fixed} px {axis}, the description says {other} (input_size_px)")
-    width, height = model.width or described[0], model.height or described[1]
+    trained = model.trained_size or (None, None)
+    width, height = model.width or described[0] or trained[0], model.height or described[1] or trained[1]
     if width is None or height is None:
         raise ValueError("it takes pictures of any size; its description must choose one (input_size_px: [640, 640])")
     return width, height
+
+
+_ROLES_BY_DECODER: dict[str, tuple[OutputRole, ...]] = {
+    "boxes_scores_classes": ("boxes", "scores", "classes", "count"),
+    "logits": ("boxes", "scores"),
+}
+_OUTPUT_ROLES: dict[str, OutputRole] = {
+    **dict.fromkeys(("boxes", "bboxes", "pred_boxes", "det_boxes", "detection_boxes"), "boxes"),
+    **dict.fromkeys(("scores", "logits", "pred_scores", "pred_logits", "det_scores", "detection_scores"), "scores"),
+    **dict.fromkeys(("labels", "classes", "pred_classes", "det_classes", "detection_classes"), "classes"),
+    **dict.fromkeys(("num_dets", "num_detections", "num_predictions"), "count"),
+}
+"""What outputs of usual names hold."""
+
+
+def _decoded_outputs(model: OnnxModel, description: DetectorDescription) -> tuple[str, ...] | None:
+    """Names of the outputs in the order of the decoder; None for all. Raises ValueError if one is missing."""
+    names = [output.name for output in model.outputs]
+    missing = next((name for name in description.outputs if name not in names), None)
+    if missing is not None:
+        raise ValueError(f"it has no output {missing!r} (outputs), but {', '.join(names)}")
+    order = _ROLES_BY_DECODER.get(description.decode)
+    if order is None:
+        return tuple(description.outputs) or None
+    roles = description.outputs or {name: role for name in names if (role := _OUTPUT_ROLES.get(name)) is not None}
+    named = {role: name for name, role in roles.items()}
+    if "boxes" not in named or len(named) < 2:
+        raise ValueError(
+            f"its outputs are {', '.join(names)}; decoded as {description.decode} its description must say which are "
+            f"{', '.join(order[:-1] if len(order) > 2 else order)} (outputs: {{NAME: boxes, ...}})"
+        )
+    return tuple(named[role] for role in order if role in named)
 
 
 def _corners(box: np.ndarray) -> tuple[float, float, float, float]:
@@ -104,6 +153,11 @@ def _corners(box: np.ndarray) -> tuple[float, float, float, float]:
 _MAX_END_TO_END = 1000  # detectors with built-in suppression output some hundred rows; grids output thousands
 _COCO = len(COCO_CLASSES)
 _BINS = (8, 11)  # numbers of distance bins in NanoDet's published files
+_WITH_BOXES = ("detect", "segment", "pose")
+"""Tasks of ultralytics exports whose rows begin with boxes."""
+
+_ANCHORS = 3  # boxes a cell of YOLOv5 and YOLOv7
+_YOLOV7_COLUMNS = 7
 
 _GRIDS: tuple[tuple[str, tuple[int, ...]], ...] = (
     ("yolox", (5 + _COCO,)),
@@ -112,47 +166,116 @@ _GRIDS: tuple[tuple[str, tuple[int, ...]], ...] = (
 )
 """Kinds by the columns of their tables; NanoDet's scores and distances are in one table or separate."""
 
+_OPEN_SIZES = {"detr": (1200, 800), "rtdetr_hugging_face": (640, 640)}
+"""Input sizes, width and height, of recognized kinds whose files take any."""
+
 
 def recognize_description(model: OnnxModel) -> DetectorDescription:
     """Infer a detector's description from its outputs and metadata; raises ValueError if several kinds are possible."""
     task = model.metadata.get("task", "detect")
-    if task != "detect":
-        raise ValueError(f"{model.path}: is made for {task!r}, not for finding boxes (task 'detect')")
-    name = _by_metadata(model) or _by_grid(model)
-    if name is None:
-        shapes = ", ".join(str(shape) for shape in model.output_shapes)
+    if task not in _WITH_BOXES:
+        raise ValueError(f"{model.path}: is made for {task!r}, not for finding boxes ({', '.join(_WITH_BOXES)})")
+    shapes = _output_shapes(model)
+    found = _by_names(model) or _by_metadata(model, shapes) or _by_grid(model, shapes)
+    if found is None:
+        named = ", ".join(f"{output.name} {shape}" for output, shape in zip(model.outputs, shapes, strict=True))
         raise ValueError(
-            f"{model.path}: outputs {shapes} do not tell what kind of detector it is; give a description, one of "
+            f"{model.path}: outputs {named} do not tell what kind of detector it is; give a description, one of "
             f"{', '.join(description_names())} or a YAML file"
         )
-    return load_description(name)
+    return found
 
 
-def _by_metadata(model: OnnxModel) -> str | None:
+_Shape = tuple[int | None, ...]
+
+
+def _output_shapes(model: OnnxModel) -> list[_Shape]:
+    """Shapes of the outputs; those of a picture if the file leaves axes open, and its size is known."""
+    trained = model.trained_size or (None, None)
+    width, height = model.width or trained[0], model.height or trained[1]
+    if width and height and any(None in output.shape[1:] for output in model.outputs):
+        gray = np.full((1, 3, height, width), 0.5, np.float32)
+        return [output.shape for output in model.run(gray)]
+    return [output.shape for output in model.outputs]
+
+
+def _by_names(model: OnnxModel) -> DetectorDescription | None:
+    """Match transformers for detection, and files with their own suppression, by the names of inputs and outputs."""
+    shapes = {output.name: output.shape for output in model.outputs}
+    further = {tensor.name for tensor, _ in model.further}
+    name = None
+    if {"labels", "boxes", "scores"} <= set(shapes) and further == {"orig_target_sizes"}:
+        name = "rtdetr"
+    elif {"logits", "pred_boxes"} <= set(shapes):
+        name = {_COCO: "rtdetr_hugging_face"}.get(shapes["logits"][-1] or 0)
+        name = "detr" if shapes["logits"][-1] in (len(_SETS["coco91"]), len(_SETS["coco91"]) + 1) else name
+    elif set(shapes) == {"dets", "labels"} and shapes["labels"][-1] == len(_SETS["coco91"]):
+        name = "rf_detr"
+    elif {"num_dets", "det_boxes", "det_scores", "det_classes"} <= set(shapes):
+        name = "efficient_nms"
+    elif [*shapes] == ["output"] and len(shapes["output"]) == 2 and shapes["output"][-1] == _YOLOV7_COLUMNS:
+        name = "yolov7_end_to_end"
+    if name is None:
+        return None
+    size = None if model.width and model.height else _OPEN_SIZES.get(name)
+    return structs.replace(load_description(name), input_size_px=size)
+
+
+def _by_metadata(model: OnnxModel, shapes: Sequence[_Shape]) -> DetectorDescription | None:
     """Match ultralytics exports: the number of classes gives the row length of each kind."""
     classes = model.class_names
-    if classes is None or len(model.output_shapes) != 1 or len(model.output_shapes[0]) != 3:
+    if classes is None or not shapes or len(shapes[0]) != 3:
         return None
-    _, first, second = model.output_shapes[0]
-    if second == 6 and (model.metadata.get("end2end") == "True" or (first is not None and first <= _MAX_END_TO_END)):
-        return "yolo_end_to_end"
-    if first == 4 + len(classes):
-        return "yolo11"
-    return "yolov5" if second == 5 + len(classes) else None
+    _, first, second = shapes[0]
+    extra = _extra_columns(model, shapes)
+    is_short = first is not None and first <= _MAX_END_TO_END
+    is_final = model.metadata.get("end2end") == "True"
+    if second == 6 + extra and (is_final or (is_short and not (len(classes) == 2 and _gives_fractions(model)))):
+        name = "yolo_end_to_end"
+    elif first == 4 + len(classes) + extra:
+        name = "yolo11"
+    elif second == 4 + len(classes) + extra and is_short:
+        name = "rtdetr_ultralytics"
+    elif second == 5 + len(classes) + extra:
+        name = "yolov5"
+    else:
+        return None
+    return structs.replace(load_description(name), extra_columns=extra)
 
 
-def _by_grid(model: OnnxModel) -> str | None:
+def _extra_columns(model: OnnxModel, shapes: Sequence[_Shape]) -> int:
+    """Number of columns after those of a box: mask coefficients, one a prototype, or coordinates of keypoints."""
+    if model.keypoint_numbers is not None:
+        return model.keypoint_numbers
+    prototypes = [shape[1] for shape in shapes[1:] if len(shape) == 4 and shape[1] is not None]
+    return prototypes[0] if len(shapes) == 2 and prototypes else 0
+
+
+def _by_grid(model: OnnxModel, shapes: Sequence[_Shape]) -> DetectorDescription | None:
     """Match files without metadata: one row per grid cell, with the columns for COCO's classes."""
-    tables = [shape[-2:] for shape in model.output_shapes if len(shape) in (2, 3)]
-    if model.width is None or model.height is None or len(tables) != len(model.output_shapes):
+    if model.width is None or model.height is None:
+        return None
+    layout = DecoderInput(load_description("yolox"), _COCO, model.width, model.height)
+    anchored = (_ANCHORS * len(cell_grid(layout)), 5 + _COCO)
+    if shapes and shapes[0][-2:] == anchored and all(len(shape) == 5 for shape in shapes[1:]):
+        return structs.replace(load_description("yolov5"), classes="coco")
+    tables = [shape[-2:] for shape in shapes if len(shape) in (2, 3)]
+    if len(tables) != len(shapes):
         return None
     for name, widths in _GRIDS:
         cells = len(cell_grid(DecoderInput(load_description(name), _COCO, model.width, model.height)))
         rows = [sum(row or 0 for row, columns in tables if columns == width) for width in widths]
         others = {columns for _, columns in tables} - set(widths)
         if rows == [cells] * len(widths) and not others and not (name == "yolox" and _gives_pixels(model)):
-            return name
+            return load_description(name)
     return None
+
+
+def _gives_fractions(model: OnnxModel) -> bool:
+    """True if a table of boxes begins with numbers of 0..1: RT-DETR of two classes has as many columns as YOLO26."""
+    width, height = model.trained_size or (640, 640)
+    table = model.run(np.full((1, 3, model.height or height, model.width or width), 0.5, np.float32))[0]
+    return bool(0 < np.abs(table[..., :4]).max(initial=0) <= 1)
 
 
 def _gives_pixels(model: OnnxModel) -> bool:

@@ -113,8 +113,12 @@ def read_coco(file: Path) -> dict[str, tuple[LabeledObject, ...]]:
     """
     try:
         document = json_values(read_whole(file, _MAX_BYTES))
+        for name in ("categories", "images", "annotations"):
+            rows = document.get(name, []) if isinstance(document, dict) else None
+            if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
+                raise ValueError(f"it has no {name}, a list of objects")
         classes = {int(each["id"]): str(each["name"]) for each in document["categories"]}
-        names = {int(each["id"]): str(each["file_name"]) for each in document["images"]}
+        names = {int(each["id"]): str(each["file_name"]).replace("\\", "/") for each in document["images"]}
         found: dict[str, list[LabeledObject]] = {name: [] for name in names.values()}
         for each in document["annotations"]:
             left, top, width, height = (float(number) for number in each["bbox"])

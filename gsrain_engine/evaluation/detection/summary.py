@@ -166,6 +166,16 @@ def plain(score: ScoreByIntensity | DistanceScore) -> dict[str, Any]:
     return {name: _finite(value) for name, value in asdict(score).items()}
 
 
+def silent_detectors(judgements: Sequence[DetectionResult]) -> list[str]:
+    """Detectors that found nothing with a confidence of 0.25 or more in any image without rain, if there are any."""
+    found: dict[str, bool] = {}
+    for each in judgements:
+        if each.trial.kind != "rainy":
+            sure = [*(one.confidence for one in each.detections), *(one.confidence_any_class for one in each.matches)]
+            found[each.detector] = found.get(each.detector, False) or max(sure, default=0.0) >= FOUND_FROM
+    return [name for name, anything in found.items() if not anything]
+
+
 def is_misclassified(row: ObjectRow) -> bool:
     """Return whether an object was found with another class than its own, such as a car as a truck."""
     is_other = row.class_seen is not None and not is_same_class(row.class_seen, row.class_name)

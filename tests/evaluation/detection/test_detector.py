@@ -91,12 +91,148 @@ def test_kinds_are_recognized_by_their_outputs(shapes, metadata, decode: str, cl
     assert detector.detect(np.zeros((40, 30, 3), np.uint8)) == []
 
 
+# A car in the middle of the picture, half as wide and half as high, of confidence 0.9, as each kind writes it in an
+# input of 64x64 px: from 16 to 48 across, and down (stretch), or from 24 to 40 (letterbox, a picture of 100x50 px).
+
+CLASSES = {"names": NAMES["names"]}
+CENTER, STRETCHED = (32, 32, 32, 16), (0.5, 0.5, 0.5, 0.5)
+CAR, TRUCK = 2, 7
+"""Classes of COCO's 80."""
+
+
+def grid(columns: int, *values: float, rows: int = CELLS) -> np.ndarray:
+    """A table of boxes over the whole input, one of which has `values`; (1, rows, columns)."""
+    table = np.zeros((1, rows, columns), np.float32)
+    table[0, :, :4] = np.linspace(1, 63, rows)[:, None]
+    table[0, 5, : len(values)] = values
+    return table
+
+
+def queries(box: tuple[float, ...], logits: np.ndarray) -> dict[str, np.ndarray]:
+    boxes = np.full((1, 4, 4), 0.1, np.float32)
+    boxes[0, 2] = box
+    return {"pred_boxes": boxes, "logits": np.stack([np.full_like(logits, -9)] * 2 + [logits, logits * 0 - 9])[None]}
+
+
+def logits_of(number: int, count: int, nothing: bool) -> np.ndarray:
+    """Logits of a confidence of 0.9 for one class: by softmax if the last means nothing, else by the logistic."""
+    logits = np.full(count + nothing, -30, np.float32)
+    logits[number] = np.log(9)
+    if nothing:
+        logits[-1] = 0
+    return logits
+
+
+def seg(count: int) -> dict[str, np.ndarray]:
+    return {"output0": grid(4 + 3 + count, *CENTER, 0.9).transpose(0, 2, 1), "output1": np.zeros((1, count, 16, 16))}
+
+
+def sized(tables: dict[str, np.ndarray]):
+    inputs = {"orig_target_sizes": (7, ("N", 2))}
+    return lambda path: write_constant(path, tables, inputs=inputs, shapes={"boxes": (1, "queries", 4)})
+
+
+def hugging_face(tables: dict[str, np.ndarray], *, mask: bool = False, size=("height", "width")):
+    inputs = {"pixel_mask": (7, ("batch", 64, 64))} if mask else {}
+    tables = tables | {"last_hidden_state": np.full((1, 4, 4), np.nan)}  # not decoded, so not looked at
+    shape = ("batch", "channels", *size)
+    return lambda path: write_constant(path, tables, inputs=inputs, input_shape=shape, picture="pixel_values")
+
+
+def written(tables, metadata=None, **options):
+    return lambda path: write_constant(path, tables, metadata=metadata, **options)
+
+
+OPEN = ("height", "width")
+CORNERS = np.array([[[1, 1, 9, 9], [16, 24, 48, 40], [3, 3, 8, 8]]], np.float32)
+SCORES = np.array([[0.001, 0.9, 0.002]], np.float32)
+LAYOUTS = {
+    "YOLO with open axes": written([grid(7, *CENTER, 0.9).transpose(0, 2, 1)], CLASSES | {"imgsz": "[64, 64]"},
+                                   size=OPEN, shapes={"output0": ("batch", 7, "anchors")}),
+    "YOLO with open axes and outputs": written([grid(7, *CENTER, 0.9).transpose(0, 2, 1)], CLASSES | {"imgsz": "64"},
+                                               size=OPEN, shapes={"output0": ("batch", "columns", "anchors")}),
+    "YOLO-seg": written(seg(32), CLASSES | {"task": "segment"}),
+    "YOLO-pose": written([grid(4 + 3 + 6, *CENTER, 0.9).transpose(0, 2, 1)],
+                         CLASSES | {"task": "pose", "kpt_shape": "[2, 3]"}),
+    "YOLO26-seg": written({"output0": np.pad(rows((16, 24, 48, 40, 0.9, 0)), ((0, 0), (0, 0), (0, 32))),
+                           "output1": np.zeros((1, 32, 16, 16))}, NAMES | {"task": "segment"}),
+    "YOLOv5-seg": written({"output0": grid(5 + 3 + 32, *CENTER, 1, 0.9), "output1": np.zeros((1, 32, 16, 16))},
+                          CLASSES),
+    "YOLOv5 with four outputs": written(
+        {"output": grid(85, *CENTER, 1, 0, 0, 0.9, rows=3 * CELLS), "340": np.zeros((1, 3, 8, 8, 85)),
+         "392": np.zeros((1, 3, 4, 4, 85)), "444": np.zeros((1, 3, 2, 2, 85))}),
+    "YOLOv7 end to end": written({"output": np.array([[0, 16, 24, 48, 40, CAR, 0.9], [1, 0, 0, 64, 64, CAR, 0.95]])},
+                                 shapes={"output": ("boxes", 7)}),
+    "EfficientNMS": written({"num_dets": np.array([[2]]), "det_boxes": CORNERS, "det_scores": SCORES,
+                             "det_classes": np.array([[0, CAR, -1]])}),
+    "RT-DETR": sized({"labels": np.array([[0, CAR, 1]]), "boxes": CORNERS[:, :, [0, 0, 2, 2]] / 64, "scores": SCORES}),
+    "RT-DETR of ultralytics": written([grid(7, *STRETCHED, 0.9, rows=300).clip(0, 1)], CLASSES | {"imgsz": "[64, 64]"}),
+    "RT-DETR of Hugging Face": hugging_face(queries(STRETCHED, logits_of(CAR, 80, False))),
+    "DETR of Hugging Face": hugging_face(queries(STRETCHED, logits_of(3, 91, True)), mask=True),
+    "Conditional DETR": hugging_face(queries(STRETCHED, logits_of(3, 91, False)), mask=True, size=(64, 64)),
+    "RF-DETR": written({"dets": queries(STRETCHED, logits_of(3, 91, False))["pred_boxes"],
+                        "labels": queries(STRETCHED, logits_of(3, 91, False))["logits"]}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", LAYOUTS)
+def test_every_layout_finds_the_car(kind: str, tmp_path: Path):
+    (found,) = (
+        each for each in open_detector(LAYOUTS[kind](tmp_path / "a.onnx")).detect(PICTURE) if each.confidence > 0.5
+    )
+    assert found.class_name == "car" and found.confidence == pytest.approx(0.9, abs=1e-5)
+    assert found.box_xyxy == pytest.approx((25, 12.5, 75, 37.5), abs=1e-3)
+
+
+def test_inputs_and_outputs_of_other_names_are_described(tmp_path: Path):
+    tables = {"kind": np.array([[0, CAR, 1]]), "boxes": CORNERS[:, :, [0, 0, 2, 2]] / 64, "sure": SCORES}
+    path = write_constant(tmp_path / "own.onnx", tables, inputs={"sides": (1, (1, 2))}, picture="x")
+    with pytest.raises(ValueError, match="own.onnx: takes x .*sides .*inputs"):
+        open_detector(path)
+    described = "decode: boxes_scores_classes\nclasses: coco\nfit: stretch\n"
+    path.with_suffix(".yaml").write_text(described + "inputs: {sides: width_height}\n")
+    with pytest.raises(ValueError, match="own.onnx: its outputs are kind, boxes, sure.*scores, classes"):
+        open_detector(path)
+    names = "inputs: {sides: width_height, x: picture}\noutputs: {sure: scores, kind: classes, boxes: boxes}\n"
+    path.with_suffix(".yaml").write_text(described + names)
+    (found, *_) = open_detector(path).detect(PICTURE)
+    assert (found.class_name, found.box_xyxy) == ("car", pytest.approx((25, 12.5, 75, 37.5)))
+    for field, wrong in (("inputs", "inputs: {y: ones}\n"), ("outputs", names.replace("kind", "y"))):
+        path.with_suffix(".yaml").write_text(described + wrong)
+        with pytest.raises(ValueError, match=rf"own.onnx: .*has no {field[:-1]} 'y' \({field}\)"):
+            open_detector(path)
+
+
+def test_rows_of_any_order_are_described(tmp_path: Path):
+    table = np.array([[-1, 0, 0, 0, 0, 0], [CAR, 0.9, 16, 24, 48, 40]])  # as PaddleDetection writes them
+    path = write_constant(tmp_path / "paddle.onnx", [table], inputs={"scale_factor": (1, ("N", 2))})
+    path.with_suffix(".yaml").write_text(
+        "decode: end_to_end\nclasses: coco\ncolumns: [class, confidence, x1, y1, x2, y2]\n"
+    )
+    (found,) = open_detector(path).detect(PICTURE)
+    assert (found.class_name, found.box_xyxy) == ("car", pytest.approx((25, 12.5, 75, 37.5)))
+    path.with_suffix(".yaml").write_text("decode: end_to_end\nclasses: coco\ncolumns: [class, x1, y1, x2, y2]\n")
+    with pytest.raises(ValueError, match=r"paddle.yaml.*confidence.*\$\.columns"):
+        open_detector(path)
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("pixel", 1 / 64), ("fraction", 1)])
+@pytest.mark.parametrize("decode", ["yolo", "end_to_end"])
+def test_boxes_of_the_other_unit_are_refused(decode: str, unit: str, factor: float, tmp_path: Path):
+    table = grid(7, *CENTER, 0.9) if decode == "yolo" else rows((16, 24, 48, 40, 0.9, 0))
+    table[..., :4] *= factor
+    path = write_constant(tmp_path / "unit.onnx", [table], metadata=CLASSES)
+    path.with_suffix(".yaml").write_text(f"decode: {decode}\nbox_unit: {unit}\n")
+    with pytest.raises(ValueError, match="unit.onnx: .*box_unit"):
+        open_detector(path).detect(PICTURE)
+
+
 def test_centers_in_pixels_need_a_description(tmp_path: Path):
     """YOLOv6 and YOLOX with its grids resolved look alike and expect other inputs."""
     table = np.zeros((1, CELLS, 85), np.float32)
     table[0, :, :2] = np.linspace(4, 60, CELLS)[:, None]
     path = write_constant(tmp_path / "resolved.onnx", [table])
-    with pytest.raises(ValueError, match="resolved.onnx: .*one of .*yolov6, yolox, yolox_decoded"):
+    with pytest.raises(ValueError, match="resolved.onnx: .*one of .*yolov6, .*yolox, yolox_decoded"):
         open_detector(path)
     assert open_detector(path, "yolov6").description.channels == "rgb"
     assert open_detector(path, "yolox_decoded").description.channels == "bgr"
@@ -133,7 +269,7 @@ END_TO_END = (1, 300, 6)
         ("odd.onnx", constant((1, CELLS, 85), (1, 4)), None, "what kind"),
         *(("odd.onnx", constant(END_TO_END, metadata={"names": names}), None, "what kind")
           for names in ("{0: 'car'", "__import__('os').abort()", "{1: 'car'}", "7")),
-        ("odd.onnx", constant(END_TO_END, metadata=NAMES | {"task": "segment"}), None, "'segment'"),
+        ("odd.onnx", constant(END_TO_END, metadata=NAMES | {"task": "obb"}), None, "'obb'"),
         ("odd.onnx", constant(END_TO_END), "yolo_end_to_end", "names no classes"),
         ("odd.onnx", constant(END_TO_END, metadata=NAMES, size=("height", "width")), None, "input_size_px"),
         ("odd.onnx", constant(END_TO_END, metadata=NAMES, input_shape=(1, 64, 64, 3)), None, "64, 64, 3"),

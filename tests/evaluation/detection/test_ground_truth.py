@@ -118,3 +118,24 @@ def test_labels_of_data_sets_have_classes():
     }.items():  # fmt: skip
         assert label_class(name) == expected
     assert [label_class(name) for name in COCO_CLASSES] == list(COCO_CLASSES)
+
+
+def test_coco_files_of_windows_name_the_same_pictures(tmp_path):
+    document = {
+        "categories": [{"id": 3, "name": "car"}],
+        "images": [{"id": 1, "file_name": "train\\one.jpg"}],
+        "annotations": [{"id": 1, "image_id": 1, "category_id": 3, "bbox": [1, 2, 3, 4]}],
+    }
+    file = tmp_path / "labels.json"
+    file.write_text(json.dumps(document), encoding="utf-8-sig")
+    ((name, (car,)),) = read_coco(file).items()
+    assert (name, car.class_name, car.box_xyxy) == ("train/one.jpg", "car", (1, 2, 4, 6))
+
+
+@pytest.mark.parametrize("document", [[], "text", {"images": {}}, {"categories": ["car"]}])
+def test_what_a_coco_file_must_have_is_named(document, tmp_path):
+    file = tmp_path / "labels.json"
+    file.write_text(json.dumps(document))
+    with pytest.raises(ValueError, match="labels.json: .*(categories|images)") as error:
+        read_coco(file)
+    assert "indices" not in str(error.value)

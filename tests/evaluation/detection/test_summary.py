@@ -24,6 +24,7 @@ from gsrain_engine.evaluation.detection.summary import (
     plain,
     robustness_of,
     scores,
+    silent_detectors,
     write_csv,
     write_parquet,
 )
@@ -58,6 +59,14 @@ def judgements():
 @pytest.fixture(scope="module")
 def rows(judgements):
     return [row for each in judgements for row in object_rows(each)]
+
+
+def test_a_detector_is_silent_that_finds_nothing_without_rain(judgements):
+    assert silent_detectors(judgements) == []
+    for kind in ("clear", "original"):
+        assert silent_detectors([found(kind, 0.0, (0,), 0.2, 0), *judgements[1:]]) == ["d"]
+    assert silent_detectors([found("clear", 0.0, (0,), 0, 0), found("original", 0.0, (0,), 0, 0.3)]) == []
+    assert silent_detectors(judgements[1:]) == []  # nothing was drawn without rain
 
 
 def spread(score):

@@ -145,7 +145,7 @@ BAD_VALUES: list[tuple[Callable[[Values], Any], str]] = [
     (put("red", "actors", 0, "track", "color"), "`$.actors[0].track`"),
     (put("red", "path", "keyframes", 0, "color"), "`$.path.keyframes[0]`"),
     (lambda v: v.pop("version"), "`version`"),
-    (put("3", "metres_per_unit"), "Expected `float`, got `str` - at `$.metres_per_unit`"),
+    (put("3", "metres_per_unit"), "Expected a number, got text - at `$.metres_per_unit`"),
     (put([0, 0, 0], "up"), "`$.up`"),
     (put([1e200, 0, 0], "up"), "`$.up`"),
     (put("ocean", "layers", 1, "kind"), "'ocean', expected background, sky - at `$.layers[1].kind`"),
