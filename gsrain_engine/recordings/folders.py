@@ -142,4 +142,3 @@ def _sweeps(capture: Capture, source: Path) -> Mapping[RowFile, LidarSweep]:
         and isinstance(sweep.source.key, RowFile)
         and sweep.source.key.file.is_relative_to(source)
     }
-

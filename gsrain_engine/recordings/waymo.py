@@ -25,6 +25,7 @@ from ..datasets.waymo import (
     WaymoTables,
     parsed,
     ranges_of_row,
+    unpacked_matrix,
     unpacked_ranges,
 )
 from ..scene.files import whole_file, whole_folder
@@ -149,7 +150,7 @@ def _rain_on_lasers(frame: Any, lasers: Mapping[int, WaymoLaser], rain: _FrameRa
                 poses = unpacked_ranges(image.range_image_pose_compressed)
             ranges = unpacked_ranges(image.range_image_compressed)
             found = rain.ranges(turn, lasers[laser.name], ranges, poses, pose)
-            matrix = parsed("MatrixFloat", zlib.decompress(image.range_image_compressed))
+            matrix = unpacked_matrix(image.range_image_compressed)
             matrix.data = found.astype("<f4").tobytes()
             image.range_image_compressed = zlib.compress(matrix.SerializeToString(deterministic=True))
 
