@@ -12,6 +12,7 @@ from gsrain_engine.datasets.capture import Capture
 from gsrain_engine.evaluation.lidar.sensor import SENSORS
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import RainSimulation
+from gsrain_engine.recordings.folders import FileCopies
 from gsrain_engine.recordings.lidar import LidarRain
 from gsrain_engine.recordings.pictures import PhotoRain, ScenePictures, has_distances
 from gsrain_engine.recordings.rainy_recording import Recording, open_recording
@@ -76,6 +77,9 @@ def export_rain(
     wet: Wet = None,
     lidar: RecordingLidar | None = None,
     key_frames_only: Annotated[bool, flag("nuScenes: only the annotated samples get rain.")] = False,
+    hard_links: Annotated[
+        bool, flag("Recording: unchanged files are stored once, so that editing one edits both; saves disk space.")
+    ] = False,
     with_scene: Annotated[bool, flag("Scene: write the scene's Gaussians, too, in one file.")] = False,
     orientation: Orientation | None = None,
     json: JsonFile = None,
@@ -101,7 +105,9 @@ def export_rain(
             json, *([output] if Path(source).is_file() else []), folders=[] if Path(source).is_file() else [output]
         )
         turns = lidar or RecordingLidar()
-        numbers = _export_recording(Path(source), rain or RainOptions(), output, scene, wet, turns, key_frames_only)
+        numbers = _export_recording(
+            Path(source), rain or RainOptions(), output, scene, wet, turns, key_frames_only, FileCopies(hard_links)
+        )
     write_numbers(json, numbers)
 
 
@@ -165,6 +171,7 @@ def _export_recording(
     wet: bool | None,
     lidar: RecordingLidar,
     key_frames_only: bool,
+    files: FileCopies,
 ) -> dict[str, Any]:
     recording = open_recording(source, key_frames_only=key_frames_only)
     capture = recording.capture
@@ -181,8 +188,9 @@ def _export_recording(
         else:
             world, settings = rainy_light(world, settings, wet, settings.intensity_mm_h)
             pictures = ScenePictures(renderer, world, capture, settings)
-        run_with_progress(recording.write(target, pictures, turns))
-    for problem in (*capture.problems, *(f"left as it was: {each}" for each in recording.untouched)):
+        run_with_progress(recording.write(target, pictures, turns, files))
+    problems = [f"left as it was: {each}" for each in recording.untouched]
+    for problem in (*capture.problems, *problems, *(f"left out: {each}" for each in files.left_out)):
         print(problem)
     numbers: dict[str, Any] = {"images": pictures.written, "intensity_mm_h": settings.intensity_mm_h}
     how = "of the scene"
@@ -196,7 +204,9 @@ def _export_recording(
         numbers["lidar_false"] = turns.false
         what = f"{lost:,} of {turns.recorded:,} points lost, {turns.false:,} of drops"
         print(f"{counted(turns.turns, 'lidar turn')}: {what}")
-    print("all else as it was")
+    counts = {"changed": files.changed, "copied": files.copied, "linked": files.linked, "left out": len(files.left_out)}
+    print(f"files: {', '.join(f'{count:,} {what}' for what, count in counts.items())}")
+    numbers |= {f"files_{what.replace(' ', '_')}": count for what, count in counts.items()}
     return numbers | {"cameras": list(capture.sensors)}
 
 

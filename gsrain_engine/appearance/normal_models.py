@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ..safe_io.limits import open_file
+from ..safe_io.limits import check_zip_expansion, open_file
 from ..scene.camera import Camera
 from .base import Image
 from .dsine_checkout import dsine_module
@@ -58,6 +58,7 @@ def open_dsine(checkout: Path, weights: Path, device: str = "cpu") -> DsineNorma
     """
     try:
         with open_file(weights) as stream:
+            check_zip_expansion(stream, weights)
             state = torch.load(stream, map_location="cpu", weights_only=True)["model"]
         state = {key.removeprefix("module."): value for key, value in state.items()}
     except Exception as error:  # torch raises many types for a file of another kind

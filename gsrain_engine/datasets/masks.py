@@ -7,12 +7,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Float64
-from PIL import Image
 
-from ..safe_io.limits import open_file
 from ..scene.camera import Camera
 from ..scene.geometry import before_camera, box_corners
 from .capture import Capture, CaptureError, CaptureFrame, TrackedBox
+from .io.images import opened_image
 
 MOVING_M_S = 0.5
 """Minimum mean speed of a moving object."""
@@ -107,11 +106,8 @@ def read_camera_masks(folder: Path | str) -> dict[str, Bool[np.ndarray, "_ _"]]:
         raise CaptureError(f"{folder}: no masks; expected a picture for each camera, named like it (CAM_BACK.png)")
     masks: dict[str, Bool[np.ndarray, "_ _"]] = {}
     for file in files:
-        try:
-            with open_file(file) as stream, Image.open(stream) as picture:
-                masks[file.stem] = np.asarray(picture.convert("L")) >= 128
-        except OSError as error:
-            raise CaptureError(f"{file}: can't be read as a picture: {error}") from None
+        with opened_image(file, str(file)) as picture:
+            masks[file.stem] = np.asarray(picture.convert("L")) >= 128
     return masks
 
 

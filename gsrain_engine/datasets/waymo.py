@@ -501,13 +501,18 @@ def _scan(time_s: float, pose: Pose, clouds: list[_Cloud], lasers: Mapping[int, 
     return LidarScan(time_s, pose, points, top.to_vehicle[:3, 3], intensities, key)
 
 
-def unpacked_ranges(compressed: bytes) -> Float32[np.ndarray, "h w c"]:
-    """Parse a serialized MatrixFloat compressed by zlib; ValueError if sizes disagree."""
+def unpacked_matrix(compressed: bytes) -> Any:
+    """Parse a MatrixFloat, serialized and compressed by zlib; ValueError if it is larger than any range image."""
     unpacker = zlib.decompressobj()
     content = unpacker.decompress(compressed, _MAX_NUMBERS * 4 + 64)
     if not unpacker.eof:
         raise ValueError("a range image larger than any lidar's")
-    matrix = parsed("MatrixFloat", content)
+    return parsed("MatrixFloat", content)
+
+
+def unpacked_ranges(compressed: bytes) -> Float32[np.ndarray, "h w c"]:
+    """Parse the range image in a compressed MatrixFloat; ValueError if sizes disagree."""
+    matrix = unpacked_matrix(compressed)
     return _range_image(np.frombuffer(matrix.data, "<f4"), tuple(matrix.shape.dims))
 
 

@@ -7,8 +7,9 @@ from pathlib import Path
 import h5py
 import xarray as xr
 
+from ..safe_io.limits import max_expanded_bytes, reading_deadline
 from .disdrodb import is_disdrodb, read_disdrodb
-from .hdf5_trial import HDF5, LARGEST_DATASET, NETCDF_CLASSIC, passes_trial
+from .hdf5_trial import HDF5, NETCDF_CLASSIC, passes_trial
 from .netcdf import is_gsrain_spectra, read_gsrain_spectra, read_instrument_spectra, with_whole_records
 from .spectra import DisdrometerFileError, DisdrometerReading
 from .two_dvd import (
@@ -19,6 +20,8 @@ from .two_dvd import (
     read_two_dvd,
     read_two_dvd_minutes,
 )
+
+_LARGEST_DATASET = 2 * 2**30  # bytes of all variables
 
 _DATASETS = (
     (is_gsrain_spectra, read_gsrain_spectra),
@@ -56,11 +59,11 @@ def _opened(path: Path, data: bytes) -> xr.Dataset:
         engine = "scipy"
         if data.startswith(HDF5):
             engine = "h5netcdf"
-            if not passes_trial(data):
+            if not passes_trial(data, _max_bytes(data), reading_deadline(len(data)).seconds):
                 raise DisdrometerFileError(path, "the NetCDF file is damaged: HDF5's library does not come to its end")
-            _check_size(path, _unpacked_bytes(data))
+            _check_size(path, _unpacked_bytes(data), data)
         with xr.open_dataset(BytesIO(data), engine=engine, decode_timedelta=False) as dataset:
-            _check_size(path, dataset.nbytes)
+            _check_size(path, dataset.nbytes, data)
             return dataset.load()
     except DisdrometerFileError:
         raise
@@ -81,9 +84,14 @@ def _unpacked_bytes(data: bytes) -> int:
     return sum(sizes)
 
 
-def _check_size(path: Path, size: int) -> None:
-    if size > LARGEST_DATASET:
-        raise DisdrometerFileError(path, f"it holds more than {LARGEST_DATASET // 2**20} MiB: split it by days")
+def _max_bytes(data: bytes) -> int:
+    return min(_LARGEST_DATASET, max_expanded_bytes(len(data), is_uniform=True))
+
+
+def _check_size(path: Path, size: int, data: bytes) -> None:
+    if size > (largest := _max_bytes(data)):
+        advice = ": split it by days" if largest == _LARGEST_DATASET else f", too many for {len(data)} bytes"
+        raise DisdrometerFileError(path, f"it holds more than {largest // 2**20} MiB{advice}")
 
 
 def _damaged(path: Path, error: Exception) -> DisdrometerFileError:

@@ -13,7 +13,7 @@ import platformdirs
 from jaxtyping import Float32
 
 from ..datasets.io.safe_pickle import read_pickle
-from ..safe_io.limits import check_file, open_file
+from ..safe_io.limits import check_file, check_zip_expansion, open_file
 from ..safe_io.numpy_files import read_archive
 from ..safe_io.text_files import printable_line
 from ..scene.files import whole_file
@@ -177,6 +177,7 @@ def _torch_state(path: Path) -> dict[str, np.ndarray]:
         raise ValueError(f"{path}: reading it takes torch: pip install 'gsrain[jobs]'") from error
     try:
         with open_file(path) as stream:
+            check_zip_expansion(stream, path)
             state: Mapping[str, Any] = torch.load(stream, map_location="cpu", weights_only=True)
         return {name: tensor.float().numpy() for name, tensor in state.items()}
     except Exception as error:  # torch raises many kinds of errors; their message is reported

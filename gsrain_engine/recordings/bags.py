@@ -13,13 +13,18 @@ from ..datasets.capture import LidarSweep
 from ..datasets.geometry import invert_pose, transform_points
 from ..scene.files import whole_folder
 from ..scene.progress import Progress
-from .folders import files_below, link_file
+from .folders import FileCopies
 from .lidar import LidarRain, like_recorded
 from .pictures import RainyPictures
 
 
 def write_rainy_bag(
-    recording: BagRecording, source: Path, target: Path, pictures: RainyPictures, lidar: LidarRain | None
+    recording: BagRecording,
+    source: Path,
+    target: Path,
+    pictures: RainyPictures,
+    lidar: LidarRain | None,
+    files: FileCopies,
 ) -> Iterator[Progress]:
     """Copy an MCAP file, or a bag's folder or file, with rain in its images and clouds; yields progress.
 
@@ -34,6 +39,7 @@ def write_rainy_bag(
     if source.is_file():
         yield Progress(0.0, source.name)
         recording.containers[0].copy(target, rain.of_container(0))
+        files.changed += 1
         yield Progress(1.0, "Written")
         return
     with whole_folder(target) as folder:
@@ -42,11 +48,9 @@ def write_rainy_bag(
             path = folder / container.path.relative_to(source)
             path.parent.mkdir(parents=True, exist_ok=True)
             container.copy(path, rain.of_container(number))
+            files.changed += 1
         yield Progress(1.0, f"Copying {METADATA}")
-        changed = {container.path for container in recording.containers}
-        for file in files_below(source):
-            if file not in changed:
-                link_file(file, folder / file.relative_to(source))
+        files.add_rest(source, folder, {container.path for container in recording.containers})
 
 
 class _BagRain:

@@ -2,7 +2,9 @@
 
 import os
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -12,23 +14,78 @@ from ..datasets.capture import Capture, CaptureFrame, LidarSource, LidarSweep
 from ..datasets.io.arrays import RowFile
 from ..datasets.kitti import kitti_surroundings
 from ..render.images import write_image
-from ..safe_io.limits import read_file
+from ..safe_io.limits import open_file, read_file
 from ..scene.files import whole_folder
 from ..scene.progress import Progress
 from .lidar import LidarRain
 from .pictures import RainyPictures
 
 _JPEG_QUALITY = 95
+_COPIED_BYTES = 1 << 30
+
+
+@dataclass(slots=True)
+class FileCopies:
+    """Files of a recording that its rainy copy does not change, and the numbers of all files of the copy."""
+
+    hard_links: bool = False
+    """True to store unchanged files once, where the disk can: then editing one edits the recording's, too."""
+    changed: int = 0
+    copied: int = 0
+    linked: int = 0
+    left_out: list[str] = field(default_factory=list[str])
+    """Entries that can't be copied, with the reasons."""
+
+    def add(self, file: Path, path: Path) -> None:
+        """Copy one file, or what a link points to, with its times and permissions.
+
+        Copies share their blocks on file systems that can (Btrfs, XFS). Raises OSError.
+        """
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if self.hard_links:
+            with suppress(OSError):  # another disk, or one without hard links
+                os.link(file.resolve(), path)
+                self.linked += 1
+                return
+        with open_file(file) as stream, path.open("xb") as copy:
+            with suppress(OSError, AttributeError):  # other disks, other systems
+                while os.copy_file_range(stream.fileno(), copy.fileno(), _COPIED_BYTES):
+                    pass
+            shutil.copyfileobj(stream, copy)  # what is left
+        shutil.copystat(file, path)
+        self.copied += 1
+
+    def add_rest(self, source: Path, target: Path, changed: Collection[Path]) -> None:
+        """Copy all files and folders, empty ones too, but those files that are `changed`.
+
+        What links point to is copied; links to nothing or to a folder around them, pipes, sockets and devices are left
+        out. Raises OSError.
+        """
+        waiting = [(source, target, frozenset[Path]())]
+        while waiting:
+            folder, copy, around = waiting.pop()
+            copy.mkdir(parents=True, exist_ok=True)
+            around |= {folder.resolve()}
+            for file in sorted(folder.iterdir()):
+                if file in changed:
+                    continue
+                if file.is_dir() and file.resolve() not in around:
+                    waiting.append((file, copy / file.name, around))
+                elif file.is_file():
+                    self.add(file, copy / file.name)
+                else:
+                    why = "a link to a folder around it" if file.is_dir() else "neither a file nor a folder"
+                    self.left_out.append(f"{file.relative_to(source)}: {why}")
 
 
 def write_rainy_folder(
-    capture: Capture, source: Path, target: Path, pictures: RainyPictures, lidar: LidarRain | None
+    capture: Capture, source: Path, target: Path, pictures: RainyPictures, lidar: LidarRain | None, files: FileCopies
 ) -> Iterator[Progress]:
     """Copy the folder of a recording with rain in the capture's images and lidar; yields progress after each.
 
-    Images keep their names, sizes and formats. All other files, and images of other recordings in the folder, are the
-    same files (hard links where the disk allows it, else copies). A drive of KITTI is copied with its calibration or
-    poses, which lie outside of its folder. The copy appears when it is complete.
+    Images keep their names, sizes and formats. All other files, and images of other recordings in the folder, are
+    copied by `files`. A drive of KITTI is copied with its calibration or poses, which lie outside of its folder. The
+    copy appears when it is complete.
 
     Raises:
         ValueError: If images are no files of their own inside the folder.
@@ -45,22 +102,21 @@ def write_rainy_folder(
             photo = view.image
             rainy, path = pictures.rainy(view, photo), folder / file.relative_to(source)
             if rainy is photo:
-                link_file(file, path)
+                files.add(file, path)
             else:
                 write_image(path, Image.fromarray(rainy), _JPEG_QUALITY)
+                files.changed += 1
         for number, (rows, sweep) in enumerate(sweeps.items(), len(photos)):
             yield Progress(number / steps, rows.file.name)
             assert lidar is not None and sweep.source is not None
             path = folder / rows.file.relative_to(source)
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(_rows_in_rain(rows, sweep.source, sweep.time_s, lidar))
-        yield Progress(1.0, "Linking all other files")
-        changed = {*photos, *(rows.file for rows in sweeps)}
-        for file in files_below(source):
-            if file not in changed:
-                link_file(file, folder / file.relative_to(source))
+            files.changed += 1
+        yield Progress(1.0, "Copying all other files")
+        files.add_rest(source, folder, {*photos, *(rows.file for rows in sweeps)})
         for file, name in outside.items():
-            link_file(file, whole / name)
+            files.add(file, whole / name)
 
 
 def _rows_in_rain(rows: RowFile, stored: LidarSource, time_s: float, lidar: LidarRain) -> bytes:
@@ -86,18 +142,3 @@ def _sweeps(capture: Capture, source: Path) -> Mapping[RowFile, LidarSweep]:
         and isinstance(sweep.source.key, RowFile)
         and sweep.source.key.file.is_relative_to(source)
     }
-
-
-def files_below(folder: Path) -> Iterator[Path]:
-    """All files in a folder and below."""
-    for parent, _, names in os.walk(folder):
-        yield from (Path(parent) / name for name in names)
-
-
-def link_file(file: Path, path: Path) -> None:
-    """Make the same file appear elsewhere: a hard link, or a copy where the disk has none."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    try:
-        os.link(file, path)
-    except OSError:  # another disk, or one without hard links
-        shutil.copy2(file, path)

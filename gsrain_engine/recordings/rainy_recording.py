@@ -20,13 +20,13 @@ from ..datasets.waymo import (
 )
 from ..scene.progress import Progress
 from .bags import write_rainy_bag
-from .folders import write_rainy_folder
+from .folders import FileCopies, write_rainy_folder
 from .lidar import LidarRain
 from .pictures import RainyPictures
 from .waymo import write_rainy_records, write_rainy_tables
 
-WriteCopy = Callable[[Path, RainyPictures, LidarRain | None], Iterator[Progress]]
-"""Writes a rainy copy to a path, which is a file where the recording is one."""
+WriteCopy = Callable[[Path, RainyPictures, LidarRain | None, FileCopies], Iterator[Progress]]
+"""Writes a rainy copy to a path, which is a file where the recording is one; counts files in the `FileCopies`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -25,11 +25,12 @@ from ..datasets.waymo import (
     WaymoTables,
     parsed,
     ranges_of_row,
+    unpacked_matrix,
     unpacked_ranges,
 )
 from ..scene.files import whole_file, whole_folder
 from ..scene.progress import Progress
-from .folders import files_below, link_file
+from .folders import FileCopies
 from .lidar import LidarRain
 from .pictures import RainyPictures
 
@@ -91,22 +92,27 @@ class _FrameRain:
 
 
 def write_rainy_records(
-    capture: Capture, file: Path, source: Path, target: Path, pictures: RainyPictures, lidar: LidarRain | None
+    capture: Capture,
+    file: Path,
+    source: Path,
+    target: Path,
+    pictures: RainyPictures,
+    lidar: LidarRain | None,
+    files: FileCopies,
 ) -> Iterator[Progress]:
     """Copy a file of records, or its folder, with rain in the JPEGs and range images of its frames.
 
     Everything else of a frame stays: labels, calibrations, poses, and fields that are not read here. Raises
     `CaptureError` for a damaged file.
     """
+    files.changed += 1
     if source.is_file():
         with whole_file(target) as partial:
             yield from _write_records(capture, file, partial, pictures, lidar)
         return
     with whole_folder(target) as folder:
         yield from _write_records(capture, file, folder / file.relative_to(source), pictures, lidar)
-        for each in files_below(source):
-            if each != file:
-                link_file(each, folder / each.relative_to(source))
+        files.add_rest(source, folder, [file])
 
 
 def _write_records(
@@ -144,7 +150,7 @@ def _rain_on_lasers(frame: Any, lasers: Mapping[int, WaymoLaser], rain: _FrameRa
                 poses = unpacked_ranges(image.range_image_pose_compressed)
             ranges = unpacked_ranges(image.range_image_compressed)
             found = rain.ranges(turn, lasers[laser.name], ranges, poses, pose)
-            matrix = parsed("MatrixFloat", zlib.decompress(image.range_image_compressed))
+            matrix = unpacked_matrix(image.range_image_compressed)
             matrix.data = found.astype("<f4").tobytes()
             image.range_image_compressed = zlib.compress(matrix.SerializeToString(deterministic=True))
 
@@ -161,9 +167,14 @@ def _framed(content: bytes) -> bytes:
 
 
 def write_rainy_tables(
-    tables: WaymoTables, capture: Capture, target: Path, pictures: RainyPictures, lidar: LidarRain | None
+    tables: WaymoTables,
+    capture: Capture,
+    target: Path,
+    pictures: RainyPictures,
+    lidar: LidarRain | None,
+    files: FileCopies,
 ) -> Iterator[Progress]:
-    """Copy the folder of the tables with rain in the images and range images of one segment; others are linked.
+    """Copy the folder of the tables with rain in the images and range images of one segment; all else is copied.
 
     Raises `CaptureError` for a damaged table.
     """
@@ -174,9 +185,8 @@ def write_rainy_tables(
         yield from _write_images(tables, rain, folder / images.relative_to(tables.root))
         if ranges in changed:
             yield from _write_ranges(tables, rain, folder / ranges.relative_to(tables.root))
-        for file in files_below(tables.root):
-            if file not in changed:
-                link_file(file, folder / file.relative_to(tables.root))
+        files.changed += len(changed)
+        files.add_rest(tables.root, folder, changed)
 
 
 def _write_images(tables: WaymoTables, rain: _FrameRain, target: Path) -> Iterator[Progress]:

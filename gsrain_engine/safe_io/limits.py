@@ -1,4 +1,4 @@
-"""Limits on untrusted input (kind of file, bytes, time) for files, pipes, devices and sockets."""
+"""Limits on untrusted input (kind of file, bytes, expansion, time) for files, pipes, devices and sockets."""
 
 import errno
 import hashlib
@@ -11,10 +11,11 @@ import socket
 import stat
 import threading
 import time
+import zipfile
 from collections.abc import Callable
 from io import BufferedReader
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, NoReturn
 
 import lazy_loader
 
@@ -169,6 +170,57 @@ class ByteBudget:
         self.spent_bytes += count
         if self.spent_bytes > self.max_bytes:
             _refuse_size(self._name, self.max_bytes)
+
+
+# Expansion and time: the one limit of all compressed or queried input (docs/reliability.md)
+
+ALWAYS_ALLOWED_BYTES = 64 << 20
+"""Bytes that the content of a file of any size may take: equal numbers compress without a bound."""
+
+_MAX_EXPANSION = 200  # real scenes and recordings expand 2 to 30 times, bombs 1000 and more
+_MAX_UNIFORM_EXPANSION = 2000  # deflate can't reach 1033, a JPEG of one color reaches 1024
+_MIN_READING_S, _READING_S_PER_BYTE = 60.0, 1e-6
+
+
+def max_expanded_bytes(stored_bytes: int, *, is_uniform: bool = False) -> int:
+    """Maximum bytes of the content of a file, or a part of one, of `stored_bytes`.
+
+    200 times as many; 2,000 times where content can have one value all over (`is_uniform`: pictures, arrays, tables);
+    at least 64 MiB.
+    """
+    return max(ALWAYS_ALLOWED_BYTES, (_MAX_UNIFORM_EXPANSION if is_uniform else _MAX_EXPANSION) * stored_bytes)
+
+
+def check_expansion(name: Path | str, content_bytes: int, stored_bytes: int, *, is_uniform: bool = False) -> None:
+    """Raise `TooLargeError` if the declared size of a content is not plausible for its stored size."""
+    if content_bytes > max_expanded_bytes(stored_bytes, is_uniform=is_uniform):
+        problem = f"claims to hold {content_bytes / 1e6:.0f} MB, which can't be in {stored_bytes} bytes"
+        raise TooLargeError(errno.EFBIG, problem, str(name))
+
+
+def check_zip_expansion(stream: BinaryIO, name: Path | str) -> None:
+    """Raise `TooLargeError` if a stream is a zip file whose members are too large together; returns to its start."""
+    if zipfile.is_zipfile(stream):
+        stored = stream.seek(0, os.SEEK_END)
+        with zipfile.ZipFile(stream) as archive:
+            check_expansion(name, sum(each.file_size for each in archive.infolist()), stored)
+    stream.seek(0)
+
+
+class ExpansionBudget(ByteBudget):
+    """Bytes that the parts of one file may deliver together when they are expanded."""
+
+    def __init__(self, stored_bytes: int, name: Path | str) -> None:
+        super().__init__(max_expanded_bytes(stored_bytes), name)
+
+    @property
+    def left_bytes(self) -> int:
+        return max(0, self.max_bytes - self.spent_bytes)
+
+
+def reading_deadline(stored_bytes: int) -> Deadline:
+    """Deadline for a library to read a file or to find the next row of one: a minute, and a second for each MB."""
+    return Deadline(_MIN_READING_S + _READING_S_PER_BYTE * stored_bytes)
 
 
 def open_file(path: Path | str, max_bytes: int | None = None) -> BufferedReader:

@@ -1,6 +1,7 @@
 """Untrusted NumPy files (.npz, .npy): sizes are checked before allocation, and pickles are refused."""
 
 import math
+import os
 import tokenize
 import warnings
 import zipfile
@@ -10,7 +11,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from .limits import open_file
+from .limits import check_expansion, open_file
 
 _MAX_BYTES = 8 << 30
 _SUFFIX = ".npy"
@@ -36,8 +37,9 @@ def read_archive(path: Path, most_bytes: int = _MAX_BYTES) -> dict[str, np.ndarr
         try:
             with zipfile.ZipFile(stream) as archive:
                 members = archive.infolist()
-                if sum(each.file_size for each in members) > most_bytes:
+                if (size := sum(each.file_size for each in members)) > most_bytes:
                     raise ValueError(f"it holds more than {most_bytes / 1e9:g} GB")
+                check_expansion(path, size, stream.seek(0, os.SEEK_END), is_uniform=True)
                 return {each.filename.removesuffix(_SUFFIX): read_member(archive, each, _KINDS) for each in members}
         except DAMAGES as error:
             raise ValueError(_reason(error, "it")) from None

@@ -139,12 +139,12 @@ def write_bag(folder: Path, messages: list[tuple[str, str, float, Any]], storage
 # Foxglove
 
 
-def write_foxglove(path: Path, drive: MiniDrive, encoding: str = "json") -> Path:
+def write_foxglove(path: Path, drive: MiniDrive, encoding: str = "json", compression: str = "ZSTD") -> Path:
     """Write the drive as messages of Foxglove's schemas (json, protobuf), with metadata and an attachment."""
-    from mcap.writer import Writer
+    from mcap.writer import CompressionType, Writer
 
     with path.open("wb") as stream:
-        writer = Writer(stream)
+        writer = Writer(stream, compression=CompressionType[compression])
         writer.start(profile="", library="test")
         channels: dict[str, int] = {}
         kinds_of: dict[str, Any] = {}

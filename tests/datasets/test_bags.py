@@ -48,9 +48,9 @@ def test_a_bag_of_ros_2_is_the_drive(storage, poses, tmp_path):
     np.testing.assert_array_equal(capture.sweeps[0].intensities, 9)
 
 
-@pytest.mark.parametrize("encoding", ["json", "protobuf"])
-def test_foxglove_s_schemas_are_the_drive(encoding, tmp_path):
-    file = write_foxglove(tmp_path / "drive.mcap", DRIVE, encoding)
+@pytest.mark.parametrize(("encoding", "compression"), [("json", "ZSTD"), ("protobuf", "LZ4"), ("json", "NONE")])
+def test_foxglove_s_schemas_are_the_drive(encoding, compression, tmp_path):
+    file = write_foxglove(tmp_path / "drive.mcap", DRIVE, encoding, compression)
     assert capture_format(file).name.startswith("ROS 2 bag")
     DRIVE.check(open_capture(file), has_boxes=False)
 

@@ -137,6 +137,12 @@ _INFOS = "nuScenes (MMDetection3D)"
 _BAG = "ROS 2 bag (MCAP, SQLite)"
 
 
+def _lz4(folder: Path) -> Path:
+    from tests.datasets.sample_bags import write_foxglove
+
+    return write_foxglove(folder / "drive.mcap", _SMALL, compression="LZ4")
+
+
 def _bag(storage: str, folder: Path) -> None:
     from tests.datasets.sample_bags import drive_messages, write_bag
 
@@ -167,6 +173,7 @@ CAPTURE_READERS = (
         lambda folder: write_segment(folder, segment_tables(_SMALL)),
         ("*.parquet", damaged_bytes),
     ),
+    Reader("mcap-lz4", _lz4, _read, CaptureError, (("*.mcap", damaged_bytes),)),
     _row("bag-mcap", _BAG, partial(_bag, "mcap"), ("*.mcap", damaged_bytes), ("*.yaml", damaged_text)),
     _row("bag-sqlite", _BAG, partial(_bag, "sqlite3"), ("*.db3", damaged_bytes)),
     _row("rainsense", "RainSense", write_rainsense, _TEXT, ("*.csv", damaged_text)),

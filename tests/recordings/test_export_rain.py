@@ -1,5 +1,7 @@
 """Rain for other programs: rainy copies of recordings, and the rain's Gaussians."""
 
+import json
+import os
 import shutil
 
 import numpy as np
@@ -49,6 +51,61 @@ def test_a_drive_of_kitti_is_copied_with_the_calibration_of_its_day(tmp_path):
     for own, other in zip(open_capture(copy), open_capture(drive), strict=True):
         np.testing.assert_allclose(own.camera.world_to_camera, other.camera.world_to_camera, atol=0.02)
         assert not np.array_equal(own.image, other.image)
+
+
+@pytest.fixture
+def linked_recording(recording, tmp_path):
+    """A recording with labels, calibration, an empty folder, and links of all kinds."""
+    elsewhere = tmp_path / "disk"
+    (elsewhere / "labels" / "deep").mkdir(parents=True)
+    (elsewhere / "labels" / "deep" / "a.txt").write_text("label")
+    (elsewhere / "labels" / "empty").mkdir()
+    (recording / "empty").mkdir()
+    (recording / "calibration.txt").write_text("calibration")
+    (recording / "labels").symlink_to("../disk/labels")
+    (recording / "link.txt").symlink_to("calibration.txt")
+    (recording / "lidar" / "around").symlink_to("..")
+    (recording / "nowhere").symlink_to("../gone")
+    os.mkfifo(recording / "pipe")
+    return recording
+
+
+LEFT_OUT = {"lidar/around", "nowhere", "pipe"}
+
+
+@pytest.mark.parametrize("rain", ["0", "5"])
+def test_a_copy_is_whole_and_shares_nothing_with_the_recording(linked_recording, tmp_path, rain, capsys):
+    source, target = linked_recording, tmp_path / "rainy"
+    numbers = tmp_path / "numbers.json"
+    assert run(["export-rain", str(source), "-o", str(target), "--rain", rain, "--json", str(numbers)]) == 0
+    names = {each.relative_to(source).as_posix() for each in source.rglob("*")} - LEFT_OUT
+    names |= {"labels/deep", "labels/deep/a.txt", "labels/empty"}
+    copied = list(target.rglob("*"))
+    assert {each.relative_to(target).as_posix() for each in copied} == names
+    assert not any(each.is_symlink() for each in copied)
+    before = {file: file.read_bytes() for file in source.rglob("*") if file.is_file()}
+    for file in (each for each in copied if each.is_file()):
+        file.write_bytes(b"edited")
+    assert before == {file: file.read_bytes() for file in before}
+    found = json.loads(numbers.read_text())
+    images = 0 if rain == "0" else len(open_capture(source))
+    assert (found["files_changed"], found["files_linked"], found["files_left_out"]) == (images, 0, 3)
+    assert found["files_copied"] == len([each for each in copied if each.is_file()]) - images
+    printed = capsys.readouterr().out
+    assert all(f"left out: {name}: " in printed for name in LEFT_OUT)
+
+
+def test_hard_links_are_made_where_they_are_asked_for(linked_recording, tmp_path):
+    source, target, numbers = linked_recording, tmp_path / "rainy", tmp_path / "numbers.json"
+    arguments = ["--rain", "5", "--hard-links", "--json", str(numbers)]
+    assert run(["export-rain", str(source), "-o", str(target), *arguments]) == 0
+    for name in ("calibration.txt", "link.txt", "labels/deep/a.txt"):
+        assert (target / name).samefile(source / name) and not (target / name).is_symlink()
+    found, images = json.loads(numbers.read_text()), {view.image_file for view in open_capture(source)}
+    assert not any((target / file.relative_to(source)).samefile(file) for file in images)
+    files = len([each for each in target.rglob("*") if each.is_file()])
+    counts = [found[f"files_{what}"] for what in ("changed", "copied", "linked")]
+    assert counts == [len(images), 0, files - len(images)]
 
 
 def relative_files(folder):

@@ -33,6 +33,7 @@ from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.datasets.waymo import parsed, unpacked_ranges
 from gsrain_engine.evaluation.lidar.sensor import SENSORS
 from gsrain_engine.rain.settings import RainSettings
+from gsrain_engine.recordings.folders import FileCopies
 from gsrain_engine.recordings.lidar import LidarRain
 from gsrain_engine.recordings.rainy_recording import open_recording
 from mini_drive import MiniDrive
@@ -55,7 +56,7 @@ def rainy_copy(source: Path, target: Path, intensity_mm_h: float = 60.0) -> Lida
     recording = open_recording(source)
     rain = RainSettings(intensity_mm_h=intensity_mm_h)
     lidar = LidarRain(recording.capture, rain, SENSORS["64"], full=None, estimates_range=True)
-    for _ in recording.write(target, Negatives(), lidar):
+    for _ in recording.write(target, Negatives(), lidar, FileCopies()):
         pass
     return lidar
 

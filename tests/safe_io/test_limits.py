@@ -22,12 +22,15 @@ from gsrain_engine.safe_io.limits import (
     InputError,
     ServerConnection,
     TooLargeError,
+    check_expansion,
     check_file,
+    max_expanded_bytes,
     open_file,
     open_pipe,
     read_file,
     read_input,
     read_pipe,
+    reading_deadline,
     receive_message,
     write_pipe,
 )
@@ -356,6 +359,45 @@ def opened_unbounded(source: str) -> Iterator[int]:
             is_wrong = bool(of) and name in ("read_bytes", "read_text", "recv")
         if is_wrong:
             yield node.lineno
+
+
+def unbounded_expansions(source: str) -> Iterator[int]:
+    """Lines that decompress without a maximum of bytes, or read an archive of weights without a look at its sizes."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Call):
+            dotted, _, name = ast.unparse(node.func).rpartition(".")
+            is_module = dotted in ("zlib", "gzip", "bz2", "lzma", "zstandard", "lz4.frame")
+            if (name == "decompress" and (is_module or len(node.args) < 2)) or name in ("extractall", "unpack_archive"):
+                yield node.lineno
+        if isinstance(node, ast.With) and (body := ast.unparse(node)).count("torch.load(") > body.count(
+            "check_zip_expansion("
+        ):
+            yield node.lineno
+
+
+def test_nothing_is_expanded_without_a_limit():
+    found = {}
+    for folder in ("app", "ui", "gsrain_engine"):
+        for path in sorted((ROOT / folder).rglob("*.py")):
+            source = path.read_text(encoding="utf-8")
+            if re.search(r"decompress|torch\.load|extractall|unpack_archive", source):
+                lines = list(unbounded_expansions(source))
+                found |= {path.relative_to(ROOT).as_posix(): lines} if lines else {}
+    assert found == {}
+
+
+@pytest.mark.parametrize(("stored", "is_uniform", "most"), [
+    (0, False, 64 << 20), (400_000, False, 80_000_000), (400_000, True, 800_000_000), (10_000, True, 64 << 20),
+])  # fmt: skip
+def test_one_rule_says_what_a_file_may_hold(stored, is_uniform, most):
+    assert max_expanded_bytes(stored, is_uniform=is_uniform) == max(most, 64 << 20)
+    check_expansion("a", most, stored, is_uniform=is_uniform)
+    with pytest.raises(TooLargeError, match=rf"^a: claims to hold \d+ MB, .* {stored} bytes"):
+        check_expansion("a", most + 1, stored, is_uniform=is_uniform)
+
+
+def test_the_time_to_read_a_file_grows_with_it():
+    assert reading_deadline(0).seconds == 60 and reading_deadline(10**9).seconds == 1060
 
 
 def test_nothing_else_opens_files():

@@ -11,7 +11,7 @@ from typing import Any
 
 import msgspec
 
-from ...safe_io.limits import check_file, open_file
+from ...safe_io.limits import check_file, check_zip_expansion, open_file
 from ...safe_io.text_files import printable_line
 from ...scene.files import whole_file
 from ..base import TrainingRecord
@@ -132,6 +132,7 @@ def open_weights(path: Path) -> WeightsFile:
         return file
     try:
         with open_file(path) as stream:
+            check_zip_expansion(stream, path)
             state = torch.load(stream, map_location="cpu", weights_only=True)
     except Exception as error:  # torch raises many types
         first = str(error).split("\n")[0].strip() or type(error).__name__

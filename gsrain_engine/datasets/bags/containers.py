@@ -3,12 +3,14 @@
 Facts: the MCAP specification (mcap.dev/spec), and rosbag2's storage plugins and metadata.yaml (ros2/rosbag2).
 """
 
+import io
 import shutil
 import sqlite3
 import struct
-from collections.abc import Callable, Collection, Generator, Iterator, Mapping
+from collections.abc import Callable, Collection, Generator, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
+from errno import ENOENT
 from functools import lru_cache
 from importlib import import_module
 from pathlib import Path
@@ -16,7 +18,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import zstandard
 
-from ...safe_io.limits import check_file, open_file
+from ...safe_io.limits import ByteBudget, ExpansionBudget, TooLargeError, check_file, open_file, reading_deadline
 from ...safe_io.text_files import read_whole, yaml_values
 from ...scene.files import whole_file
 from ..capture import CaptureError, check_inside
@@ -48,8 +50,8 @@ class Place(NamedTuple):
 
     offset: int
     """Byte of the record (MCAP), or number of the row (SQLite)."""
-    number: int = 0
-    """Number among the records of a chunk (MCAP)."""
+    byte: int = -1
+    """Byte of the record in the expanded chunk at `offset` (MCAP); -1 for a record outside of chunks."""
 
 
 class BagMessage(NamedTuple):
@@ -127,16 +129,22 @@ def _container(path: Path, *, compressed: bool) -> Container:
 
 # Messages that are compressed one by one
 
-_MAX_MESSAGE_BYTES = 1 << 30
 _ZSTD_LEVEL = 3
 
 
-def _unpacked(data: bytes, path: Path) -> bytes:
+def _unpacked(data: bytes, path: Path, budget: ExpansionBudget) -> bytes:
     try:
-        with zstandard.ZstdDecompressor().stream_reader(data) as stream:
-            return stream.read(_MAX_MESSAGE_BYTES)
+        return _unzstd(data, budget)
     except zstandard.ZstdError as error:
         raise CaptureError(f"{path}: a message that can't be decompressed ({error})") from None
+
+
+def _unzstd(data: bytes, budget: ExpansionBudget) -> bytes:
+    """Decompress a zstd frame; raises `TooLargeError` if it holds more than the budget has left."""
+    with zstandard.ZstdDecompressor().stream_reader(data) as stream:
+        content = stream.read(budget.left_bytes + 1)
+    budget.spend(len(content))
+    return content
 
 
 def _packed(data: bytes) -> bytes:
@@ -145,7 +153,7 @@ def _packed(data: bytes) -> bytes:
 
 # MCAP
 
-_MAX_CHUNK_BYTES = 1 << 31
+_MAX_RECORD_BYTES = 1 << 31
 _Value = TypeVar("_Value")
 _CHUNK_BYTES = 1 << 20
 
@@ -167,6 +175,8 @@ def _named_damages(path: Path) -> Generator[None]:
         raise CaptureError(f"{path}: no such file") from None
     except CaptureError:
         raise
+    except TooLargeError as error:
+        raise CaptureError(f"{path}: its compressed parts are {error.strerror}") from None
     except (*damages, ValueError, KeyError, OSError, MemoryError, RuntimeError) as error:
         cut_off = type(error).__name__ == "EndOfFile" or isinstance(error, struct.error)
         why = "it is cut off; mcap recover writes one that is not" if cut_off else str(error) or type(error).__name__
@@ -187,7 +197,8 @@ class McapContainer:
     def messages(self, topics: Collection[Topic] | None = None) -> Iterator[BagMessage]:
         schemas: dict[int, Any] = {}
         channels: dict[int, Topic] = {}
-        for place, record in self._records():
+        budget = self._budget()
+        for place, record in self._records(budget):
             kind = type(record).__name__
             if kind == "Schema":
                 schemas[record.id] = record
@@ -196,12 +207,14 @@ class McapContainer:
             elif kind == "Message":
                 topic = self._known(channels, record.channel_id, "channel", place)
                 if topics is None or topic in topics:
-                    yield BagMessage(topic, place, record.log_time, self._data(record.data))
+                    yield BagMessage(topic, place, record.log_time, self._data(record.data, budget))
 
     def read(self, place: Place) -> bytes:
         with _named_damages(self.path):
-            records = _records_at(self.path, place.offset)
-            return self._data(records[place.number].data)
+            record, content = _record_at(self.path, place.offset)
+            if place.byte >= 0:
+                _, record = next(_inner_records(content, place.byte))
+            return self._data(record.data, self._budget())
 
     def copy(self, target: Path, changed: Callable[[BagMessage], bytes | None]) -> None:
         """Copy schemas, channels, messages, attachments and metadata; chunks and indexes are written anew.
@@ -214,8 +227,8 @@ class McapContainer:
             schemas: dict[int, Any] = {0: None}
             numbers = {0: 0}
             channels: dict[int, tuple[Topic, int]] = {}
-            compression = self._compression()
-            for place, record in self._records():
+            compression, budget = self._compression(), self._budget()
+            for place, record in self._records(budget):
                 kind = type(record).__name__
                 if kind == "Header":
                     writer = writers.Writer(
@@ -233,7 +246,7 @@ class McapContainer:
                     channels[record.id] = self._topic(record, schemas), number
                 elif kind == "Message":
                     topic, number = self._known(channels, record.channel_id, "channel", place)
-                    message = BagMessage(topic, place, record.log_time, self._data(record.data))
+                    message = BagMessage(topic, place, record.log_time, self._data(record.data, budget))
                     new = changed(message)
                     data = record.data if new is None else (_packed(new) if self.compressed else new)
                     writer.add_message(number, record.log_time, data, record.publish_time, record.sequence)
@@ -247,8 +260,12 @@ class McapContainer:
                     break  # a summary repeats schemas and channels
             writer.finish()
 
-    def _data(self, data: bytes) -> bytes:
-        return _unpacked(data, self.path) if self.compressed else data
+    def _data(self, data: bytes, budget: ExpansionBudget) -> bytes:
+        with _named_damages(self.path):
+            return _unpacked(data, self.path, budget) if self.compressed else data
+
+    def _budget(self) -> ExpansionBudget:
+        return ExpansionBudget(_size(self.path), self.path)
 
     def _known(self, known: Mapping[int, _Value], number: int, what: str, place: Place) -> _Value:
         if number not in known:
@@ -260,13 +277,13 @@ class McapContainer:
         kind, definition = ("", b"") if schema is None else (schema.name, schema.data)
         return Topic(channel.topic, kind, channel.message_encoding, bytes(definition))
 
-    def _records(self) -> Iterator[tuple[Place, Any]]:
+    def _records(self, budget: ExpansionBudget) -> Iterator[tuple[Place, Any]]:
         """Yield all records, those of chunks too, with their places."""
         with _named_damages(self.path), open_file(self.path) as stream:
             for offset, record in _outer_records(stream, self.path):
                 if type(record).__name__ == "Chunk":
-                    for index, inner in enumerate(_records_of_chunk(record, self.path)):
-                        yield Place(offset, index), inner
+                    for byte, inner in _inner_records(_chunk_content(record, self.path, budget)):
+                        yield Place(offset, byte), inner
                 else:
                     yield Place(offset), record
 
@@ -279,47 +296,66 @@ class McapContainer:
         return "NONE"
 
 
-def _outer_records(stream: Any, path: Path) -> Iterator[tuple[int, Any]]:
-    """Yield the records of a file outside of chunks, with the byte at which each starts."""
-    reader = _mcap_module("stream_reader").StreamReader(
-        stream, emit_chunks=True, record_size_limit=min(path.stat().st_size, _MAX_CHUNK_BYTES)
-    )
-    offset = _MAGIC_BYTES
-    for record in reader.records:
-        yield offset, record
-        offset = stream.tell()
-
-
 _MAGIC_BYTES = 8
+_IN_CHUNKS = ("Schema", "Channel", "Message")
 
 
-def _records_of_chunk(chunk: Any, path: Path) -> list[Any]:
-    size = chunk.uncompressed_size
-    if size > _MAX_CHUNK_BYTES:
-        raise CaptureError(f"{path}: a chunk says that it holds {size} bytes; at most {_MAX_CHUNK_BYTES} are read")
-    content: bytes = chunk.data
+def _outer_records(stream: Any, path: Path, *, from_start: bool = True) -> Iterator[tuple[int, Any]]:
+    """Yield the records of a file outside of chunks, with the byte at which each starts."""
+    return _records_of(stream, min(_size(path), _MAX_RECORD_BYTES), has_magic=from_start)
+
+
+def _inner_records(content: bytes, start: int = 0) -> Iterator[tuple[int, Any]]:
+    """Yield the records of an expanded chunk one by one, with the byte at which each starts."""
+    stream = io.BytesIO(content)
+    stream.seek(start)
+    for byte, record in _records_of(stream, len(content), has_magic=False) if content else ():
+        if type(record).__name__ in _IN_CHUNKS:
+            yield byte, record
+        if stream.tell() == len(content):
+            return
+
+
+def _records_of(stream: Any, max_bytes: int, *, has_magic: bool) -> Iterator[tuple[int, Any]]:
+    reader = _mcap_module("stream_reader").StreamReader(
+        stream, skip_magic=not has_magic, emit_chunks=True, record_size_limit=max_bytes
+    )
+    start = stream.tell() + (_MAGIC_BYTES if has_magic else 0)
+    for record in reader.records:
+        yield start, record
+        start = stream.tell()
+
+
+def _size(path: Path) -> int:
+    try:
+        return path.stat().st_size
+    except OSError as error:
+        raise CaptureError(f"{path}: {'no such file' if error.errno == ENOENT else error.strerror}") from None
+
+
+def _chunk_content(chunk: Any, path: Path, budget: ExpansionBudget) -> bytes:
+    """Expand a chunk; raises `TooLargeError` if it holds more than the budget has left."""
+    size, content = chunk.uncompressed_size, chunk.data
     if chunk.compression == "zstd":
-        with zstandard.ZstdDecompressor().stream_reader(chunk.data) as stream:
-            content = stream.read(size + 1)
+        content = _unzstd(content, budget)
     elif chunk.compression == "lz4":
-        content = import_module("lz4.frame").LZ4FrameDecompressor().decompress(chunk.data, size + 1)
+        content = import_module("lz4.frame").LZ4FrameDecompressor().decompress(content, budget.left_bytes + 1)
+        budget.spend(len(content))
     elif chunk.compression:
         raise CaptureError(f"{path}: a chunk has the compression {chunk.compression!r}; expected zstd or lz4")
     if len(content) != size:
         raise CaptureError(f"{path}: a chunk says that it holds {size} bytes, and has another number of them")
-    chunk.compression, chunk.data = "", content
-    return _mcap_module("stream_reader").breakup_chunk(chunk)
+    return content
 
 
 @lru_cache(maxsize=2)
-def _records_at(path: Path, offset: int) -> list[Any]:
-    """Return the records of the chunk at a byte, or the single record there; neighbors are usually read next."""
-    reader = _mcap_module("stream_reader").StreamReader
+def _record_at(path: Path, offset: int) -> tuple[Any, bytes]:
+    """Return the record at a byte, and its content if it is a chunk; neighbors are usually read next."""
     with open_file(path) as stream:
         stream.seek(offset)
-        limit = min(path.stat().st_size, _MAX_CHUNK_BYTES)
-        record = next(reader(stream, skip_magic=True, emit_chunks=True, record_size_limit=limit).records)
-    return _records_of_chunk(record, path) if type(record).__name__ == "Chunk" else [record]
+        _, record = next(_outer_records(stream, path, from_start=False))
+    is_chunk = type(record).__name__ == "Chunk"
+    return record, _chunk_content(record, path, ExpansionBudget(_size(path), path)) if is_chunk else b""
 
 
 # SQLite, the storage of ROS 2 bags before Iron
@@ -334,55 +370,64 @@ class SqliteContainer:
     """True if each message is compressed."""
 
     def topics(self) -> list[Topic]:
-        with self._opened() as database:
-            used = {row[0] for row in database.execute("SELECT DISTINCT topic_id FROM messages")}
-            return [topic for number, topic in _sqlite_topics(database).items() if number in used]
+        with self._opened() as query:
+            used = {row[0] for row in query("SELECT DISTINCT topic_id FROM messages")}
+            return [topic for number, topic in _sqlite_topics(query).items() if number in used]
 
     def messages(self, topics: Collection[Topic] | None = None) -> Iterator[BagMessage]:
-        with self._opened() as database:
-            known = _sqlite_topics(database)
+        budget = self._budget()
+        with self._opened() as query:
+            known = _sqlite_topics(query)
             asked = [number for number, topic in known.items() if topics is None or topic in topics]
             marks = ",".join("?" * len(asked))
-            rows = database.execute(
+            rows = query(
                 f"SELECT id, topic_id, timestamp, data FROM messages WHERE topic_id IN ({marks}) "
                 "ORDER BY timestamp, id",
                 asked,
             )
             for number, topic, time_ns, data in rows:
-                yield BagMessage(known[topic], Place(int(number)), int(time_ns), self._data(data))
+                yield BagMessage(known[topic], Place(int(number)), int(time_ns), self._data(data, budget))
 
     def read(self, place: Place) -> bytes:
-        with self._opened() as database:
-            row = database.execute("SELECT data FROM messages WHERE id = ?", [place.offset]).fetchone()
+        with self._opened() as query:
+            row = next(query("SELECT data FROM messages WHERE id = ?", [place.offset]), None)
         if row is None:
             raise CaptureError(f"{self.path}: message {place.offset} is gone")
-        return self._data(row[0])
+        return self._data(row[0], self._budget())
 
     def copy(self, target: Path, changed: Callable[[BagMessage], bytes | None]) -> None:
         """Copy the file and put new data into the rows of changed messages."""
         with whole_file(target) as partial:
             shutil.copyfile(self.path, partial)
             with self._named_damages(), closing(sqlite3.connect(partial)) as database, database:
-                database.execute("PRAGMA trusted_schema = OFF")
-                database.execute("PRAGMA journal_mode = MEMORY")
+                query = Query(database, _size(partial))
+                list(query("PRAGMA journal_mode = MEMORY"))
                 for message in self.messages():
                     new = changed(message)
                     if new is not None:
                         data = _packed(new) if self.compressed else new
-                        database.execute("UPDATE messages SET data = ? WHERE id = ?", [data, message.place.offset])
+                        list(query("UPDATE messages SET data = ? WHERE id = ?", [data, message.place.offset]))
 
-    def _data(self, data: Any) -> bytes:
+    def _data(self, data: Any, budget: ExpansionBudget) -> bytes:
         if not isinstance(data, bytes):
             raise CaptureError(f"{self.path}: a message that is no bytes")
-        return _unpacked(data, self.path) if self.compressed else data
+        with self._named_damages():
+            return _unpacked(data, self.path, budget) if self.compressed else data
+
+    def _budget(self) -> ExpansionBudget:
+        return ExpansionBudget(_size(self.path), self.path)
 
     @contextmanager
-    def _opened(self) -> Generator[sqlite3.Connection]:
+    def _opened(self) -> "Generator[Query]":
         with self._named_damages():
             check_file(self.path)
             with closing(sqlite3.connect(f"{self.path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)) as database:
-                database.execute("PRAGMA trusted_schema = OFF")
-                yield database
+                database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _size(self.path))  # a value is stored in the file
+                query = Query(database, _size(self.path))
+                stored = {str(row[0]).lower() for row in query(_STORED_TABLES)}
+                for name in {"messages", "topics"} - stored:
+                    raise CaptureError(f"{self.path}: not the database of a ROS 2 bag: it has no table {name!r}")
+                yield query
 
     @contextmanager
     def _named_damages(self) -> Generator[None]:
@@ -390,10 +435,49 @@ class SqliteContainer:
             yield
         except FileNotFoundError:
             raise CaptureError(f"{self.path}: no such file") from None
-        except (sqlite3.Error, KeyError, TypeError, OverflowError) as error:
-            raise CaptureError(f"{self.path}: not the database of a ROS 2 bag that can be read ({error})") from None
+        except TooLargeError as error:
+            raise CaptureError(f"{self.path}: its messages are {error.strerror}") from None
+        except (sqlite3.Error, KeyError, TypeError, OverflowError, TimeoutError) as error:
+            why = error.strerror if isinstance(error, TimeoutError) else str(error)
+            raise CaptureError(f"{self.path}: not the database of a ROS 2 bag that can be read ({why})") from None
 
 
-def _sqlite_topics(database: sqlite3.Connection) -> dict[int, Topic]:
-    rows = database.execute("SELECT id, name, type, serialization_format FROM topics")
+_STORED_TABLES = "SELECT name FROM sqlite_master WHERE type = 'table' AND rootpage > 0"  # no views, nothing virtual
+_STEPS_BETWEEN_CHECKS = 20_000  # of SQLite's machine: some 0.2 ms
+_MIN_ROW_BYTES = 4  # a row takes more in a file
+
+
+class Query:
+    """Queries of a database from a stranger, in which pages may repeat without end and values may be made up."""
+
+    def __init__(self, database: sqlite3.Connection, stored_bytes: int) -> None:
+        self._database, self._stored_bytes = database, stored_bytes
+        database.execute("PRAGMA trusted_schema = OFF")
+
+    def __call__(self, statement: str, values: Sequence[Any] = ()) -> Iterator[Any]:
+        """Yield the rows, no more bytes of them than the file has.
+
+        Raises sqlite3.Error, `TooLargeError`, and TimeoutError if the next row takes too long.
+        """
+        budget = ByteBudget(self._stored_bytes, "query")
+        rows: Iterator[Any] | None = None
+        while True:
+            deadline = reading_deadline(self._stored_bytes)
+            self._database.set_progress_handler(lambda end=deadline: end.left_s == 0, _STEPS_BETWEEN_CHECKS)
+            try:
+                rows = self._database.execute(statement, values) if rows is None else rows
+                row = next(rows, None)
+            except sqlite3.OperationalError as error:
+                if error.sqlite_errorcode != sqlite3.SQLITE_INTERRUPT:
+                    raise
+                deadline.check()
+                raise KeyboardInterrupt from None  # the module drops what its handler raises
+            if row is None:
+                return
+            budget.spend(_MIN_ROW_BYTES + sum(len(value) for value in row if isinstance(value, bytes | str)))
+            yield row
+
+
+def _sqlite_topics(query: Query) -> dict[int, Topic]:
+    rows = query("SELECT id, name, type, serialization_format FROM topics")
     return {int(number): Topic(str(name), str(kind), str(form)) for number, name, kind, form in rows}

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float32
 
-from ...safe_io.limits import MAX_FILE_BYTES, InputError, open_file, read_file
+from ...safe_io.limits import MAX_FILE_BYTES, InputError, check_expansion, open_file, read_file
 from ...safe_io.numpy_files import DAMAGES, array_bytes, read_array_header, read_member
 from ..capture import CaptureError
 
@@ -85,7 +85,7 @@ def read_npz(file: Path, key: str) -> np.ndarray[Any, np.dtype[Any]]:
                 raise CaptureError(
                     f"{file}: the array {member.filename!r} is larger than {_MAX_ARCHIVE_BYTES >> 20} MB"
                 )
-            check_expansion(file, member.file_size, file.stat().st_size)
+            check_expansion(file, member.file_size, file.stat().st_size, is_uniform=True)
             return read_member(archive, member)
     except FileNotFoundError:
         raise CaptureError(f"{file}: no such file") from None
@@ -95,20 +95,6 @@ def read_npz(file: Path, key: str) -> np.ndarray[Any, np.dtype[Any]]:
         raise CaptureError(str(error)) from None
     except DAMAGES as error:
         raise CaptureError(f"{file}: not a readable .npz file ({error})") from None
-
-
-# Decompression limits
-
-_ALWAYS_ALLOWED_BYTES = 64 << 20  # size that any file may reach in memory: single-color images compress without bound
-_LARGEST_EXPANSION = 2000  # deflate (PNG, .npz) can't reach 1033; a JPEG of one color reaches 1024
-
-
-def check_expansion(file: Path | str, wanted_bytes: int, file_bytes: int) -> None:
-    """Raise `CaptureError` if the decompressed size is impossible for the file's size."""
-    if wanted_bytes > max(_ALWAYS_ALLOWED_BYTES, _LARGEST_EXPANSION * file_bytes):
-        raise CaptureError(
-            f"{file}: says that it holds {wanted_bytes / 1e6:.0f} MB, which can't be in {file_bytes} bytes"
-        )
 
 
 # JSON

@@ -10,9 +10,8 @@ import numpy as np
 from jaxtyping import Bool, Shaped, UInt8
 from PIL import Image, ImageOps, UnidentifiedImageError
 
-from ...safe_io.limits import InputError, kind_of_bytes, kind_of_file, open_file
+from ...safe_io.limits import InputError, check_expansion, kind_of_bytes, kind_of_file, open_file
 from ..capture import CaptureError
-from .arrays import check_expansion
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff")
 """Suffixes of readable images, in lowercase."""
@@ -168,7 +167,7 @@ def opened_image(source: Path | bytes, name: str) -> Generator[Image.Image]:
             width, height = picture.size
             if max(width, height) > _LONGEST_PX:
                 raise CaptureError(f"{name}: {width}x{height} px; at most {_LONGEST_PX} a side can be used")
-            check_expansion(name, width * height * _BYTES_OF_A_PIXEL.get(picture.mode, 4), size)
+            check_expansion(name, width * height * _BYTES_OF_A_PIXEL.get(picture.mode, 4), size, is_uniform=True)
             yield picture
     except FileNotFoundError:
         raise CaptureError(f"{name}: no such picture") from None

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 from numba import njit
 
-from ...safe_io.limits import InputError, check_file, open_file
+from ...safe_io.limits import InputError, check_expansion, check_file, open_file
 from ...scene.files import SceneFormatError
 from ...scene.formats.ply_header import element_rows, read_ply_header
 from ..capture import CaptureError
@@ -67,7 +67,11 @@ class ParquetFile:
     def _opened(self) -> Any:
         try:
             check_file(self.path)
-            return parquet_module().ParquetFile(self.path)
+            opened = parquet_module().ParquetFile(self.path)
+            groups = (opened.metadata.row_group(number) for number in range(opened.num_row_groups))
+            size = sum(group.total_byte_size for group in groups)
+            check_expansion(self.path, size, self.path.stat().st_size, is_uniform=True)
+            return opened
         except _DAMAGES as error:
             raise CaptureError(f"{self.path}: not a Parquet file that can be read ({error})") from None
 

@@ -12,16 +12,11 @@ import psutil
 import zstandard
 from jaxtyping import Float32, Integer, UInt8
 
+from ...safe_io.limits import max_expanded_bytes
 from ..files import SceneFormatError
 from ..gaussians import Gaussians
 from ..scene import Scene
 
-_LARGEST_EXPANSION = 200
-"""Maximum ratio of memory to file size. Real SPZ and SOG scenes expand 6 to 30 times, decompression bombs 1000 and
-more.
-"""
-
-_ALWAYS_ALLOWED_BYTES = 64 * 2**20  # allowed for a file of any size: scenes of equal Gaussians compress without a bound
 _LARGEST_ZSTD_WINDOW = 2**27  # the default limit of zstd (windowLog 27)
 
 
@@ -37,7 +32,7 @@ def check_expansion(path: Path, count: int, coefficients: int, file_bytes: int) 
 def check_plausible(path: Path, count: int, coefficients: int, file_bytes: int) -> None:
     """Reject a header that speaks of more Gaussians than can be in a file of its size."""
     wanted = gaussian_bytes(count, coefficients)
-    if wanted > max(_ALWAYS_ALLOWED_BYTES, _LARGEST_EXPANSION * file_bytes):
+    if wanted > max_expanded_bytes(file_bytes):
         raise SceneFormatError(
             path,
             f"the header speaks of {count} Gaussians ({wanted / 1e9:.1f} GB), "

@@ -22,7 +22,7 @@ from jaxtyping import Float32, Float64, Int64
 from msgspec import Meta
 
 from ...safe_io.errors import convert_checked
-from ...safe_io.limits import check_file, open_file, read_file
+from ...safe_io.limits import check_file, check_zip_expansion, open_file, read_file
 from ...safe_io.text_files import json_values, printable_line
 from ..camera import DEFAULT_EXPOSURE_S
 from ..files import SceneFormatError
@@ -277,6 +277,7 @@ def _checkpoint(path: Path) -> Sequence[Any]:
     try:
         check_file(path)
         with open_file(path) as stream:
+            check_zip_expansion(stream, path)
             found: Any = torch.load(stream, map_location="cpu", weights_only=True)
     except FileNotFoundError:
         raise

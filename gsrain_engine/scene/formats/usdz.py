@@ -19,7 +19,7 @@ import numpy as np
 import psutil
 from jaxtyping import Float32, Float64
 
-from ...safe_io.limits import read_file
+from ...safe_io.limits import read_file, reading_deadline
 from ..files import SceneFormatError
 from ..gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
 from ..geometry import quaternions_from_matrices
@@ -35,7 +35,6 @@ _ROOT = "default.usdc"
 _LARGEST_METADATA = 2**20  # bytes
 _ALIGNMENT = 64  # bytes at whose multiples the files in a .usdz begin
 _CODES_PER_SECOND = 24.0
-_LONGEST_S = 1800.0  # time in which a stage must be read
 _SPARE_BYTES = 2**32  # of address space that USD takes without use
 _SIMILAR = 1e-4  # relative difference between the scales of a prim's axes
 _TO_USD_CAMERA = np.diag([1.0, -1.0, -1.0, 1.0])  # OpenCV's camera (y down, z forward) to USD's (y up, z back)
@@ -98,12 +97,13 @@ def _stage(path: Path, root: Path, folder: Path) -> dict[str, Any]:
     from . import usd_stage
 
     limit = int(psutil.virtual_memory().available) + _SPARE_BYTES
+    limit_s = reading_deadline(path.stat().st_size).seconds
     command = [sys.executable, "-P", usd_stage.__file__, str(root), str(folder), str(limit)]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     try:
-        ended = subprocess.run(command, env=environment, capture_output=True, timeout=_LONGEST_S, check=False)
+        ended = subprocess.run(command, env=environment, capture_output=True, timeout=limit_s, check=False)
     except subprocess.TimeoutExpired:
-        raise SceneFormatError(path, f"its USD layers can't be read within {_LONGEST_S:g} s") from None
+        raise SceneFormatError(path, f"its USD layers can't be read within {limit_s:.0f} s") from None
     if not (folder / RESULT).is_file():
         raise SceneFormatError(
             path, f"its USD layers are damaged: the library that reads them ended with {ended.returncode}"
