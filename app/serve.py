@@ -16,6 +16,7 @@ from gsrain_engine.backends import Backend
 from gsrain_engine.rain.calibration import load_calibration
 from gsrain_engine.rain.keyframes import NO_KEYFRAMES
 from gsrain_engine.rain.simulation import RainSimulation
+from gsrain_engine.safe_io.limits import checked_token
 from gsrain_engine.scene.formats.nurec import scene_id
 from gsrain_engine.scene.open import load_sorted_scene
 from gsrain_engine.scene.scene import Scene
@@ -47,7 +48,11 @@ def serve(
         int | None, option("Port to listen at; 0 is any free one. Default: 50051, and 8080 for browsers.")
     ] = None,
     token: Annotated[
-        str | None, option(f"Calls need the metadata authorization: Bearer TOKEN; default: the variable {TOKEN}.")
+        str | None,
+        option(
+            "Calls need the metadata authorization: Bearer TOKEN; a page's address ends with it. Default: the variable "
+            f"{TOKEN}; without it, calls need none, and pages have a random one."
+        ),
     ] = None,
     sessions: Annotated[int, option("Largest number of calls that wait or run, or of browsers, at a time.")] = 16,
     rain: RainOptions | None = None,
@@ -64,11 +69,13 @@ def serve(
     check_writable(json)
     check_within("--port", port, 0, 65535)
     check_within("--sessions", sessions, 1, 1000)
+    token = token if token is not None else os.environ.get(TOKEN) or None
+    if token is not None:
+        checked_token(token)
     if protocol == "browser":
-        _check_for_browsers(scenes, host, port, token)
+        _check_for_browsers(scenes, host, port)
         opened = (orientation or Orientation()).of(load_sorted_scene((scenes or ("street",))[0]))
-        return _serve_browsers(opened, rain or RainOptions(), wet, backend, port, sessions, json)
-    token = token or os.environ.get(TOKEN) or None
+        return _serve_browsers(opened, rain or RainOptions(), wet, backend, port, sessions, token, json)
     if token is None and not _is_loopback(host):
         raise ValueError(f"--host {host}: other machines reach it, so --token (or the variable {TOKEN}) is needed; "
                          f"AlpaSim sends none: forward the port to its machine with ssh -L")  # fmt: skip
@@ -113,22 +120,21 @@ def serve(
     return 0
 
 
-def _check_for_browsers(scenes: tuple[str, ...], host: str, port: int | None, token: str | None) -> None:
+def _check_for_browsers(scenes: tuple[str, ...], host: str, port: int | None) -> None:
     if len(scenes) > 1:
         raise ValueError(f"--protocol browser shows one scene, not {len(scenes)}")
     if host not in (LOOPBACK, "localhost"):
         forward = f"ssh -L {port or 8080}:localhost:{port or 8080} THIS_MACHINE"
-        raise ValueError(f"--host {host}: pages for browsers have no token, so that only this machine gets them; "
+        raise ValueError(f"--host {host}: pages for browsers are not encrypted, so that only this machine gets them; "
                          f"from another: {forward}")  # fmt: skip
-    if token is not None:
-        raise ValueError("--token: pages for browsers have none; only this machine gets them")
     if find_spec("viser") is None:
         raise ValueError("--protocol browser needs viser: pip install 'gsrain[viser]'")
 
 
 def _serve_browsers(
-    scene: Scene, options: RainOptions, wet: Any, backend: Backend, port: int | None, browsers: int, json: JsonFile
-) -> int:
+    scene: Scene, options: RainOptions, wet: Any, backend: Backend, port: int | None, browsers: int, token: str | None,
+    json: JsonFile,
+) -> int:  # fmt: skip
     from gsrain.browser import DEFAULT_PORT, BrowserViewer
 
     if rendered_weather(options, scene) is not None:
@@ -137,7 +143,7 @@ def _serve_browsers(
     lit, settings = rainy_light(scene, settings, wet, settings.intensity_mm_h)
     ended = _asked_to_end()
     with BrowserViewer(
-        lit, settings, backend=backend, port=DEFAULT_PORT if port is None else port, browsers=browsers
+        lit, settings, backend=backend, port=DEFAULT_PORT if port is None else port, browsers=browsers, token=token
     ) as page:
         print(f"{scene.name}: open {page.url} in a browser on this machine; Ctrl-C ends")
         while not ended.wait(1.0) and not page.wait(0):

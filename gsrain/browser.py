@@ -2,6 +2,7 @@
 
 import atexit
 import math
+import secrets
 import socket
 import threading
 import time
@@ -10,6 +11,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from importlib import import_module
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 from jaxtyping import UInt8
@@ -22,17 +24,17 @@ from gsrain_engine.rain.properties import rain_class
 from gsrain_engine.rain.settings import RainSettings as RainSettings
 from gsrain_engine.render.draw import RenderView
 from gsrain_engine.render.export_settings import DEFAULT_SIZE_PX
+from gsrain_engine.safe_io.limits import checked_token
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.files import sentence_of
 from gsrain_engine.scene.geometry import matrices_from_quaternions
 from gsrain_engine.scene.scene import Scene
 
 from .browser_panel import RainPanel
+from .browser_server import HOST, open_page_server
 from .rain import checked_rain
 from .viewer import Viewer, ViewerError
 
-HOST = "127.0.0.1"
-"""Address of the page. Viser asks for no password, so that other machines are not let in."""
 DEFAULT_PORT = 8080
 _MAX_PX = 1920  # longer side of a picture; larger canvases show it enlarged
 _JPEG_QUALITY = 85  # of pictures while something changes; pictures at rest are PNG, so that no streak is lost
@@ -59,7 +61,8 @@ class BrowserViewer:
     what they show; reading `rain` returns what a person has set there. A picture at rest has the same pixels as
     `gr.render` with the browser's camera; while something changes, pictures are smaller.
 
-    The page is for this machine alone. From another: `ssh -L 8080:localhost:8080 THIS_MACHINE`.
+    The page is for this machine alone, and for those who have its address, which contains a token. From another
+    machine: `ssh -L 8080:localhost:8080 THIS_MACHINE`.
     """
 
     def __init__(
@@ -71,6 +74,7 @@ class BrowserViewer:
         backend: Backend = "auto",
         port: int = DEFAULT_PORT,
         browsers: int = 16,
+        token: str | None = None,
     ) -> None:
         """Start to serve.
 
@@ -81,14 +85,17 @@ class BrowserViewer:
             backend: What draws.
             port: Port of the page; 0 is any free one.
             browsers: Largest number of browsers at a time.
+            token: Word in the page's address; None is a random one.
 
         Raises:
             ImportError: Without viser, with how to install it.
+            ValueError: For a token that addresses can't hold.
             OSError: When the port is taken.
             ViewerError: When the back end can't be opened.
         """
+        self._token = secrets.token_urlsafe(16) if token is None else checked_token(token)
         try:
-            viser: Any = import_module("viser")
+            import_module("viser")
         except ModuleNotFoundError:
             raise ImportError("pages for browsers need viser: pip install 'gsrain[viser]'") from None
         self._changed = threading.Condition()
@@ -110,14 +117,14 @@ class BrowserViewer:
         if self._trouble:
             raise ViewerError(self._trouble)
         with _silence():  # viser prints a table
-            self._server: Any = viser.ViserServer(host=HOST, port=port, label="GSRAIN", verbose=False)
+            self._server: Any = open_page_server(port, self._token, browsers, self._control)
         self._set_up()
         atexit.register(self.close)
 
     @property
     def url(self) -> str:
-        """Address of the page."""
-        return f"http://localhost:{self._server.get_port()}"
+        """Address of the page, with its token."""
+        return f"http://localhost:{self._server.get_port()}/{quote(self._token, safe='')}"
 
     @property
     def scene(self) -> Scene:
@@ -209,6 +216,15 @@ class BrowserViewer:
 
     # The page
 
+    def _control(self, uuid: str) -> Any:
+        """Viser's control of a uuid, of all browsers or of one; None if there is none. Called on viser's thread."""
+        server: Any = getattr(self, "_server", None)
+        for owner in [server, *[each.client for each in [*self._browsers.values()]]] if server is not None else ():
+            control = owner.gui._gui_input_handle_from_uuid.get(uuid)
+            if control is not None:
+                return control
+        return None
+
     def _set_up(self) -> None:
         server, gui, eye = self._server, self._server.gui, self._home.position
         # Sharing would send the page through a server of viser's makers.
@@ -285,7 +301,7 @@ class BrowserViewer:
 
     def _go_to(self, time_s: float) -> None:
         with self._changed:
-            self._time_s = time_s
+            self._time_s = min(max(time_s, 0.0), self._length_s)
             self._playing_since = None if self._playing_since is None else time.monotonic()
             self._changed.notify()
 
@@ -326,7 +342,11 @@ class BrowserViewer:
             while not self._is_ending:
                 now_s, version = time.monotonic(), (id(self._scene), self._rain)
                 for browser in sorted(self._browsers.values(), key=lambda each: each.served_s):
-                    browser.viewer.view = self._view_of(browser)
+                    try:
+                        browser.viewer.view = self._view_of(browser)
+                    except (ValueError, ArithmeticError, LookupError) as error:  # the others go on
+                        self._end(browser, error)
+                        continue
                     quality = browser.viewer.due(version, now_s)
                     if quality is not None:
                         browser.served_s = now_s
@@ -334,6 +354,11 @@ class BrowserViewer:
                 settles = any(each.viewer.budget.is_settling for each in self._browsers.values())
                 self._changed.wait(SETTLED_S if settles else None)
         return None
+
+    def _end(self, browser: _Browser, error: Exception) -> None:
+        """Show a browser nothing more, since its numbers make no view."""
+        self._browsers.pop(browser.client.client_id, None)
+        browser.client.add_notification("No picture", sentence_of(error), color="red", auto_close_seconds=None)
 
     def _view_of(self, browser: _Browser) -> RenderView:
         """Present view of a browser: from its own camera, or along the path."""
@@ -368,7 +393,7 @@ class BrowserViewer:
             )  # fmt: skip
         except OutdatedPictureError:
             return
-        except (ValueError, OSError, MemoryError) as error:
+        except (ValueError, ArithmeticError, LookupError, OSError, MemoryError) as error:
             browser.client.add_notification("No picture", sentence_of(error), color="red")
             browser.viewer.finished(quality, 0.0)
             return

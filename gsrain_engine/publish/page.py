@@ -7,8 +7,10 @@ The page draws what `gsrain render` draws, but for what `left_out_of_page` lists
 """
 
 import base64
+import hashlib
 import io
 import json
+import re
 import zipfile
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass, replace
@@ -54,6 +56,7 @@ _SHADERS = (
     "page_mirror_rows.frag",
     "page_picture.frag",
 )
+_POLICY = "content-security-policy"  # in its place until all scripts are known
 _KEYS = (
     ("Drag, wheel", "look around, move ahead; with two fingers, too"),
     ("W A S D, Q E", "move; with Shift faster"),
@@ -143,11 +146,27 @@ def page_html(contents: PageContents) -> str:
     texts["page_project.frag streaks"] = ShaderSource("page_project.frag", {**_COLUMNS, "STREAKS": 1}).text
     scripts = ((Path(__file__).parent / name).read_text(encoding="utf-8") for name in ("rain.js", "splashes.js"))
     texts["rain-script"] = "\n".join(scripts)
-    return environment.get_template("page.html").render(
+    page = environment.get_template("page.html").render(
         title=contents.title, path_name=contents.path_name, about=_ABOUT, keys=_KEYS,
         missing=", ".join(contents.missing), version=metadata.version("gsrain"), settings=_script(_settings(contents)),
         texts=[(name, Markup(text)) for name, text in texts.items()], data=Markup(base85(_archive(contents))),
+        policy=_POLICY,
     )  # fmt: skip
+    return page.replace(_POLICY, content_security_policy(page), 1)
+
+
+def content_security_policy(page: str) -> str:
+    """Policy by which a browser runs the page's own scripts, as they are, and loads nothing (CSP level 3).
+
+    Rain is computed by a worker from a blob.
+    """
+    scripts = re.findall(r"<script>(.*?)</script>", page, re.DOTALL)
+    hashes = [base64.b64encode(hashlib.sha256(each.encode()).digest()).decode() for each in scripts]
+    own = " ".join(f"'sha256-{each}'" for each in hashes)
+    return (
+        f"default-src 'none'; script-src {own} blob:; worker-src blob:; style-src 'unsafe-inline'; "
+        "img-src data: blob:; base-uri 'none'; form-action 'none'"
+    )
 
 
 def _archive(contents: PageContents) -> bytes:

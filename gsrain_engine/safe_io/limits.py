@@ -2,10 +2,12 @@
 
 import errno
 import hashlib
+import hmac
 import ipaddress
 import os
 import pickle
 import queue
+import re
 import select
 import socket
 import stat
@@ -468,3 +470,23 @@ def _check_kind(path: Path | str, status: os.stat_result, *, pipe: bool) -> None
 def _refuse_size(name: Path | str, max_bytes: int) -> NoReturn:
     size = f"{max_bytes / 1e6:.0f} MB" if max_bytes >= 10**6 else f"{max_bytes} bytes"
     raise TooLargeError(errno.EFBIG, f"larger than {size}, which no such file needs", str(name))
+
+
+# Tokens
+
+
+def checked_token(token: str) -> str:
+    """Return a token of RFC 6750, which metadata of gRPC and addresses of pages can hold.
+
+    Raises `ValueError` for other signs than letters of ASCII, digits and -._~+/=, and for none.
+    """
+    if re.fullmatch(r"[A-Za-z0-9._~+/-]+=*", token) is None:
+        raise ValueError(
+            "--token: must be of letters from A to Z, digits and the signs -._~+/=, which every client can send"
+        )
+    return token
+
+
+def is_same_token(given: str, token: str) -> bool:
+    """Compare a token with the expected one, in a time that does not depend on where they differ."""
+    return hmac.compare_digest(given.encode(errors="replace"), token.encode())

@@ -1,4 +1,7 @@
-"""Tries every reader with damaged files: python -m tests.fuzz --minutes 10 [READER ...]; findings go to out/fuzz."""
+"""Tries every reader with damaged files: python -m tests.fuzz --minutes 10 [READER ...]; findings go to out/fuzz.
+
+With --messages N every server's door gets hostile messages instead: python -m tests.fuzz --messages 10000 [DOOR ...].
+"""
 
 import argparse
 import sys
@@ -10,25 +13,44 @@ sys.path.append(str(Path(__file__).resolve().parents[1]))  # the writers of test
 
 def main() -> int:
     """Run the campaign; the exit code is 1 where something was found."""
+    from . import doors
     from .campaign import campaign
     from .readers import READERS
 
     parser = argparse.ArgumentParser(prog="python -m tests.fuzz", description=__doc__)
-    parser.add_argument("readers", nargs="*", metavar="READER", help=f"of {', '.join(READERS)}; all by default")
+    parser.add_argument(
+        "names", nargs="*", metavar="NAME", help=f"of {', '.join((*READERS, *doors.DOORS))}; default: all"
+    )
+    parser.add_argument("--messages", type=int, default=0, help="number of messages for each door of a server")
     parser.add_argument("--minutes", type=float, default=10.0, help="for each reader")
     parser.add_argument("--first-seed", type=int, default=1_000_000, help="seeds rise from here")
     parser.add_argument("--out", type=Path, default=Path("out/fuzz"), help="folder for files that fail")
     arguments = parser.parse_args()
-    unknown = [name for name in arguments.readers if name not in READERS]
+    known = doors.DOORS if arguments.messages else READERS
+    unknown = [name for name in arguments.names if name not in known]
     if unknown:
-        parser.error(f"no reader {unknown[0]!r}; there are {', '.join(READERS)}")
+        parser.error(f"no {unknown[0]!r}; there are {', '.join(known)}")
     total = 0
-    for name in arguments.readers or READERS:
+    for name in arguments.names or known:
+        if arguments.messages:
+            total += _besiege(name, arguments.messages, arguments.first_seed)
+            continue
         began = time.monotonic()
         files, found = campaign(name, arguments.minutes, arguments.first_seed, arguments.out)
         print(f"{name}: {files:,} files in {time.monotonic() - began:.0f} s, {found} findings", flush=True)
         total += found
     return 1 if total else 0
+
+
+def _besiege(name: str, messages: int, seed: int) -> int:
+    """Attack one door; returns the number of findings."""
+    from . import doors
+
+    began = time.monotonic()
+    growth, what = doors.campaign(name, messages, seed)
+    ending = f"{messages:,} messages, no finding" if what is None else what
+    print(f"{name}: {ending}, {growth >> 20} MB of growth, {time.monotonic() - began:.0f} s", flush=True)
+    return int(what is not None)
 
 
 if __name__ == "__main__":

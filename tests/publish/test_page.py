@@ -1,8 +1,10 @@
 """The web page of a scene: drops, pictures and files, as headless Chromium shows them."""
 
 import base64
+import hashlib
 import io
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -240,6 +242,25 @@ def test_a_page_loads_nothing_and_is_little_more_than_its_scene(written):
     assert " src=" not in text and "url(" not in text
     assert "@import" not in text.split('<script type="text/plain"')[0]
     assert file.stat().st_size < 1.4 * len(contents.scene.sog) + 3e6
+
+
+def test_a_browser_is_told_to_run_the_scripts_of_the_page_alone(written):
+    text = written[0].read_text()
+    head, _, rest = text.partition('<meta http-equiv="Content-Security-Policy" content="')
+    policy = dict(each.strip().split(" ", 1) for each in rest.partition('"')[0].split(";"))
+    assert "<script" not in head and policy["default-src"] == "'none'" and "connect-src" not in policy
+    allowed = set(policy["script-src"].split())
+    scripts = re.findall(r"<script>(.*?)</script>", text, re.DOTALL)
+    hashes = [base64.b64encode(hashlib.sha256(each.encode()).digest()).decode() for each in scripts]
+    assert len(scripts) == 2 and allowed == {*(f"'sha256-{each}'" for each in hashes), "blob:"}
+    assert len(re.findall(r"\son[a-z]+=", text.split('<script type="text/plain"')[0])) == 0
+
+
+@needs_browser
+def test_a_script_from_elsewhere_does_not_run(page):
+    made = "const made = document.createElement('script'); made.textContent = 'window.strange = 1'"
+    assert page.run(f"(() => {{ {made}; document.body.append(made); return window.strange ?? 0; }})()") == 0
+    assert page.run("fetch('data:,x').then(() => 'loaded', () => 'refused')") == "refused"
 
 
 def test_base85_is_text_that_can_not_end_a_script():

@@ -2,10 +2,12 @@
 
 import io
 import threading
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from http.client import HTTPConnection
 from types import SimpleNamespace
 from typing import ClassVar
+from urllib.parse import urlsplit
 
 import msgspec
 import numpy as np
@@ -23,18 +25,25 @@ from small_scene import small_scene
 
 viser = pytest.importorskip("viser")
 client = pytest.importorskip("websockets.sync.client")
+ConnectionClosed, InvalidStatus = (
+    getattr(pytest.importorskip("websockets.exceptions"), name) for name in ("ConnectionClosed", "InvalidStatus")
+)
 zstandard = pytest.importorskip("zstandard")
 WAIT_S = 120.0  # the machine may be busy
+
+
+def connected(url, **options):
+    """A WebSocket as viser's page opens it."""
+    protocol = f"viser-v{viser.__version__}"
+    address = url.replace("http", "ws")
+    return client.connect(address, subprotocols=[protocol], max_size=None, ping_interval=None, **options)
 
 
 class Browser:
     """A connection that looks through a camera, and keeps what it is sent."""
 
     def __init__(self, url, camera):
-        protocol = f"viser-v{viser.__version__}"
-        self.connection = client.connect(
-            url.replace("http", "ws"), subprotocols=[protocol], max_size=None, ping_interval=None
-        )
+        self.connection = connected(url)
         self.controls = {}
         self.look(camera)
 
@@ -62,15 +71,19 @@ class Browser:
                 self.controls[message["props"]["label"]] = message["uuid"]
             yield message
 
-    def shows(self, expected):
-        """Wait until a picture at rest is the expected one; its camera has passed through a quaternion."""
+    def pictures(self):
+        """Pictures at rest."""
         while True:
             for message in self.messages():
                 if message["type"] == "BackgroundImageMessage" and message["format"] == "png" and message["rgb_data"]:
                     with Image.open(io.BytesIO(message["rgb_data"])) as image:
-                        found = np.asarray(image).astype(int)
-                    if found.shape == expected.shape and np.abs(found - expected).max() <= 2:
-                        return True
+                        yield np.asarray(image).astype(int)
+
+    def shows(self, expected):
+        """Wait until a picture at rest is the expected one; its camera has passed through a quaternion."""
+        for found in self.pictures():
+            if found.shape == expected.shape and np.abs(found - expected).max() <= 2:
+                return True
 
     def notice(self):
         while True:
@@ -107,7 +120,7 @@ def test_each_browser_has_its_view_in_the_rain_that_one_of_them_sets(capsys):
         assert other.shows(expected(page.rain, first))
         assert "2 show this page already" in Browser(page.url, first).notice()
         with pytest.raises(OSError, match=r"port \d+ can't be opened: .*; choose another one, or 0"):
-            gr.BrowserViewer(scene, port=int(page.url.rpartition(":")[2]))
+            gr.BrowserViewer(scene, port=urlsplit(page.url).port)
     assert not page.is_open and page.browsers == 0 and capsys.readouterr() == ("", "")
     for thread in set(threading.enumerate()) - before:
         if not thread.name.startswith("ThreadPoolExecutor"):  # viser's, which are idle
@@ -196,3 +209,101 @@ def test_the_program_of_the_page_runs(tmp_path, monkeypatch, capsys):
     exec(compile(titled_blocks(REPOSITORY / "docs" / "python.md")["browser.py"], "browser.py", "exec"), {})
     address, rate = capsys.readouterr().out.splitlines()
     assert address.startswith("http://localhost:") and rate == "12.0"
+
+
+@pytest.fixture(scope="module")
+def page():
+    with gr.BrowserViewer(small_scene(), gr.Rain(3), backend="cpu", port=0, browsers=2, token="a-token") as page:
+        yield page
+
+
+SOUND = {
+    "type": "ViewerCameraMessage", "wxyz": [1.0, 0, 0, 0], "position": [0.0, 0, 2], "look_at": [1.0, 0, 2],
+    "up_direction": [0.0, 0, 1], "fov": 1.0, "near": 0.01, "far": 100.0, "image_height": 32, "image_width": 48,
+}  # fmt: skip
+
+
+def update(control, **updates):
+    return {"type": "GuiUpdateMessage", "uuid": control, "updates": updates}
+
+
+def refused(url, message):
+    """Whether the sender of a message is disconnected, and told why."""
+    with connected(url) as connection:
+        connection.send(msgspec.msgpack.encode(message) if isinstance(message, dict) else message)
+        with pytest.raises(ConnectionClosed) as closed:
+            while True:
+                connection.recv(10)
+    return closed.value.rcvd is not None and closed.value.rcvd.code in (1008, 1009)
+
+
+def test_a_browser_sends_cameras_and_values_and_nothing_else(page, monkeypatch):
+    opened = []
+    monkeypatch.setattr(viser.ViserServer, "request_share_url", lambda *_, **__: opened.append("a public tunnel"))
+    camera, other = views(small_scene())
+    person = Browser(page.url, camera)
+    assert person.shows(gr.render(small_scene(), gr.Rain(3), camera, backend="cpu").rgb.astype(int))
+    kinds = {each.__name__ for each in viser._messages.Message.get_subclasses()} - {"GuiUpdateMessage", SOUND["type"]}
+    assert {"ShareUrlRequest", "FileTransferStartUpload", "FileTransferPart"} <= kinds
+    slider = person.controls["Time (s)"]
+    for kind in sorted(kinds)[:: len(kinds) // 12] + ["ShareUrlRequest", "FileTransferStartUpload"]:
+        assert refused(page.url, {"type": kind, "source_component_uuid": slider, "part_count": 0}), kind
+    wrong = [{**SOUND, name: [1.0] * count} for name in ("wxyz", "position", "look_at") for count in (0, 2, 5)]
+    wrong += [{**SOUND, "fov": None}, {**SOUND, "image_width": "wide"}, {**SOUND, "more": 1}]
+    wrong += [update(slider, value=each) for each in (None, "1", True, [1.0], float("nan"), float("inf"), 1e308)]
+    wrong += [update(person.controls["Streak region, from (m)"], value=[1.0] * count) for count in (0, 2, 4)]
+    wrong += [update(person.controls["Preset"], value="/etc/passwd"), update(person.controls["Play"], value="x")]
+    wrong += [update(slider, update_cb=[]), update(slider, value=1.0, removed=True), "text", b"", b"\xc1" * 9]
+    wrong += [b"\x91" * 10_000, bytes(17 << 10)]
+    for message in wrong:
+        assert refused(page.url, message), message
+    for endless in (float("nan"), float("inf"), 1e308):
+        person.connection.send(msgspec.msgpack.encode({**SOUND, "fov": endless}))  # as of a page without a size
+    person.look(other)
+    assert person.shows(gr.render(small_scene(), page.rain, other, backend="cpu").rgb.astype(int))
+    assert page.rain == gr.Rain(3) and page.is_open and opened == []
+    person.connection.close()
+
+
+def status_of(page, path, **headers):
+    connection = HTTPConnection("127.0.0.1", urlsplit(page.url).port, timeout=WAIT_S)
+    connection.putrequest("GET", path, skip_host=True)
+    for name, value in headers.items():
+        connection.putheader(name, value)
+    connection.endheaders()
+    status = connection.getresponse().status
+    connection.close()
+    return status
+
+
+def test_the_page_is_for_those_who_have_its_address(page):
+    host, path = f"localhost:{urlsplit(page.url).port}", urlsplit(page.url).path
+    assert path == "/a-token"
+    for mine in (host, "localhost:9000", "127.0.0.1", "[::1]:80"):  # a forwarded port has another number
+        assert status_of(page, f"{path}/", Host=mine) == 200
+    for strange in (
+        "example.org",
+        "localhost.example.org",
+        "127.0.0.1.example.org:8080",
+        "me@localhost",
+        "10.0.0.1",
+        "",
+    ):
+        assert status_of(page, path, Host=strange) == 403, strange
+    assert status_of(page, path) == 403
+    for other in ("/", "/a-toke", "/a-token-", "/b-token/index.html", "/%61-token/../x"):
+        assert status_of(page, other, Host=host) == 404, other
+    for origin in ("http://example.org", "null", "https://" + host, "http://localhost:1"):
+        assert status_of(page, path, Host=host, Origin=origin) == 403, origin
+        with pytest.raises(InvalidStatus) as answer:
+            connected(page.url, origin=origin)
+        assert answer.value.response.status_code == 403, origin
+    connected(page.url, origin=f"http://{host}").close()
+    with pytest.raises(InvalidStatus):
+        connected(page.url.replace(path, ""))
+    with pytest.raises(ValueError, match="--token"):
+        gr.BrowserViewer(small_scene(), port=0, token="pässword")
+    with ExitStack() as stack, pytest.raises(InvalidStatus) as answer:
+        for _ in range(30):
+            stack.enter_context(connected(page.url))
+    assert answer.value.response.status_code == 503

@@ -189,6 +189,7 @@ def _moment(time_s: float) -> int:
 _FACE_DEG = 90.0
 _MARGIN_PX = 4
 _LARGEST_PX = 2048
+_UNIT = 1e-3  # that the length of a direction may differ from 1
 _ROAD_UP = 0.95
 _ROAD_M = 0.3
 
@@ -202,11 +203,16 @@ def scan_scene(
     """Send the sensor's beams into a scene. `sensor_to_world` is a pose: x forward, y left, z up, meters.
 
     `own` are unit directions in the sensor's frame between its lowest and highest beam; default: the sensor's own.
+    Raises `ValueError` for directions of another length, and for a pose that is not finite.
 
     Everything has the same near-infrared reflectance `matt`, times the cosine of incidence, since colors do not
     determine it. All beams are sent at the same time. The sky returns no echo.
     """
     own = _own_directions(sensor) if own is None else own
+    if not np.isfinite(sensor_to_world).all():
+        raise ValueError("sensor_to_world: must be finite")
+    if not (np.abs(np.linalg.norm(np.clip(own, -2, 2), axis=1) - 1) < _UNIT).all():
+        raise ValueError("directions of a lidar's beams: must have the length 1")
     directions = own @ sensor_to_world[:3, :3].T
     origin = sensor_to_world[:3, 3].copy()
     ranges, normals = np.full(len(own), np.inf), np.zeros((len(own), 3))
@@ -306,8 +312,11 @@ def _surfaces_met(
 @no_type_check
 def _meet(shapes, starts, members, columns, planes, is_sky, rays, places, found):
     """Write the depth along the view axis, 0 without a surface, and the unit normal that each ray hits."""
+    right, bottom = columns * TILE, (len(starts) - 1) // columns * TILE
     for i in numba.prange(len(rays)):
         u, v, ray = places[i, 0], places[i, 1], rays[i]
+        if not (0 <= u < right and 0 <= v < bottom):  # also NaN
+            continue
         tile = int(v) // TILE * columns + int(u) // TILE
         left, hit = 1.0, -1
         for k in range(starts[tile], starts[tile + 1]):
@@ -333,6 +342,8 @@ def _meet(shapes, starts, members, columns, planes, is_sky, rays, places, found)
             left *= 1 - alpha
             if left < 1e-3:
                 break
+        if weight <= 0:  # a surface whose depth is no number
+            continue
         length = np.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)
         found[i, 0] = depth / weight
         found[i, 1:] = normal / max(length, 1e-9)

@@ -1,25 +1,34 @@
 """gRPC server that draws pictures for simulators: limits, tokens, health, and a status for each wrong message."""
 
 import errno
-import hmac
 import logging
 import math
 import socket
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from concurrent.futures import TimeoutError as NotDoneError
+from contextlib import contextmanager
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
+from ...safe_io.limits import checked_token, is_same_token
 from .messages import HEALTH_SERVICE, calls, decode_error
 from .simulator import RequestError, Simulator
 
 logger = logging.getLogger("gsrain")
-MAX_MESSAGE_BYTES = 64 * 2**20
-"""Largest message that is received, and that is sent unless a service says otherwise: that of AlpaSim's clients."""
+MAX_ANSWER_BYTES = 64 * 2**20
+"""Largest message that is sent unless a service says otherwise: that of AlpaSim's clients."""
+MAX_REQUEST_BYTES = 16 * 2**20
+"""Largest message that is received unless a service says otherwise; 64 pictures with 500 road users each have 4 MB."""
+RECEIVED_AT_ONCE = 8
+"""Largest number of messages that are being received, which bounds the memory that half-sent ones hold."""
+RECEIVE_S = 10.0
+"""Time in which a client sends its message."""
+
+_GIVES_WAY_S = 1.0  # of receiving, after which the longest one ends for the sake of others
 
 _POLL_S = 0.1  # between looks at whether a waiting client is still there
 _REFUSING = 2  # threads beyond one for each running call, to refuse others at once
@@ -33,7 +42,7 @@ Method = Callable[[Any, Any], Any]
 class RenderServer:
     """A running server. Pictures are drawn one after another, by a thread of their own."""
 
-    largest_answer_bytes = MAX_MESSAGE_BYTES
+    largest_answer_bytes, largest_request_bytes = MAX_ANSWER_BYTES, MAX_REQUEST_BYTES
 
     def __init__(
         self, open_simulator: Callable[[], Simulator], address: str, *, sessions: int = 8, token: str | None = None
@@ -41,25 +50,27 @@ class RenderServer:
         """Open scenes and renderer, and listen at an address ("127.0.0.1:0": any free port).
 
         At most `sessions` calls wait or run at a time; more get RESOURCE_EXHAUSTED. With a `token`, calls need the
-        metadata `authorization: Bearer TOKEN`. Raises `OSError` if the address can't be used.
+        metadata `authorization: Bearer TOKEN`; those without are refused before their message is received. Raises
+        `OSError` if the address can't be used, `ValueError` for a token that metadata can't hold.
         """
         grpc: Any = import_module("grpc")
-        self._grpc, self._token, self.sessions = grpc, token, sessions
+        self._grpc, self._token, self.sessions = grpc, None if token is None else checked_token(token), sessions
         self.version = own_version()
         self.answered = self.refused = self.running = 0
         """Calls that were answered, that were refused, and that are under way."""
         self._counting = threading.Lock()
+        self._arrivals = _Arrivals()
         self._cut_off_s = math.inf  # on the clock, from when running calls are ended
         _check_address(address)
         self._drawing = ThreadPoolExecutor(1, "drawing")
         self.simulator = self._drawing.submit(open_simulator).result()
         options = [
-            ("grpc.max_receive_message_length", MAX_MESSAGE_BYTES),
+            ("grpc.max_receive_message_length", self.largest_request_bytes),
             ("grpc.max_send_message_length", self.largest_answer_bytes),
             ("grpc.so_reuseport", 0),
         ]
         self._server = grpc.server(
-            ThreadPoolExecutor(sessions + _REFUSING, "calls"),
+            ThreadPoolExecutor(sessions + RECEIVED_AT_ONCE + _REFUSING, "calls"),
             options=options,
             maximum_concurrent_rpcs=sessions + _LARGEST_QUEUE,
         )
@@ -71,7 +82,7 @@ class RenderServer:
 
         for service, methods in {**offered, HEALTH_SERVICE: {"Check": (check.request, health)}}.items():
             handlers = {
-                name: grpc.unary_unary_rpc_method_handler(self._handler(name, kind, method))
+                name: grpc.stream_unary_rpc_method_handler(self._handler(name, kind, method))
                 for name, (kind, method) in methods.items()
             }
             self._server.add_generic_rpc_handlers((grpc.method_handlers_generic_handler(service, handlers),))
@@ -92,6 +103,12 @@ class RenderServer:
         """Offered services by full name: the classes of requests and the functions of their calls."""
         raise NotImplementedError
 
+    def check_answer_bytes(self, count: int) -> None:
+        """Raise `RequestError` if an answer has more bytes than are sent, as early as that is known."""
+        if count > self.largest_answer_bytes:
+            told = f"the answer has {count:,} bytes, at most {self.largest_answer_bytes:,} are sent"
+            raise RequestError("INVALID_ARGUMENT", told)
+
     def stop(self, grace_s: float = 10.0) -> None:
         """Refuse new calls, wait for running ones, which end after the time given, and close the renderer."""
         self._cut_off_s = time.monotonic() + grace_s
@@ -102,13 +119,21 @@ class RenderServer:
         self._drawing.submit(self.simulator.close).result()
         self._drawing.shutdown()
 
-    def _handler(self, name: str, kind: Any, method: Method) -> Callable[[bytes, Any], bytes]:
-        """Function of a call, from bytes to bytes: errors become a status."""
+    def _handler(self, name: str, kind: Any, method: Method) -> Callable[[Iterator[bytes], Any], bytes]:
+        """Function of a call, from bytes to bytes: errors become a status.
 
-        def answer(data: bytes, context: Any) -> bytes:
+        To gRPC it is one of streams, which differ from single messages only in that they are received on demand.
+        """
+
+        def answer(messages: Iterator[bytes], context: Any) -> bytes:
             started, label, has_place = time.monotonic(), name, False
             try:
                 self._check_token(context)
+                with self._arrivals.one(context.cancel):
+                    try:
+                        data = next(messages)
+                    except (StopIteration, self._grpc.RpcError):  # none came in time, or one that is too large
+                        raise RequestError("CANCELLED", "no message was received") from None
                 has_place = self._take_place()
                 try:
                     request = kind.FromString(data)
@@ -116,9 +141,7 @@ class RenderServer:
                     raise RequestError("INVALID_ARGUMENT", f"not a message {kind.DESCRIPTOR.full_name}") from None
                 label = f"{name} {self.subject(request)}".strip()
                 found = method(request, context).SerializeToString()
-                if len(found) > self.largest_answer_bytes:
-                    told = f"the answer has {len(found)} bytes, at most {self.largest_answer_bytes} are sent"
-                    raise RequestError("INVALID_ARGUMENT", told)
+                self.check_answer_bytes(len(found))
             except RequestError as error:
                 self._count(refused=1)
                 text = self._end_of(context) if error.status == "CANCELLED" else error.text
@@ -170,8 +193,7 @@ class RenderServer:
         if self._token is None:
             return
         given = dict(context.invocation_metadata()).get("authorization", "")
-        text = given if isinstance(given, str) else ""
-        if not hmac.compare_digest(text.encode(), f"Bearer {self._token}".encode()):
+        if not isinstance(given, str) or not is_same_token(given, f"Bearer {self._token}"):
             raise RequestError("UNAUTHENTICATED", "metadata authorization: Bearer TOKEN is needed")
 
     def draw(self, work: Callable[[Callable[[], bool]], Any], context: Any) -> Any:
@@ -192,6 +214,39 @@ class RenderServer:
                     raise RequestError("CANCELLED", "the client is gone") from None
             except CancelledError:
                 raise RequestError("CANCELLED", "the client is gone") from None
+
+
+class _Arrivals:
+    """Messages that are being received: a bounded number, for a bounded time each."""
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self._started_s: dict[object, tuple[float, Callable[[], object]]] = {}  # the oldest first
+
+    @contextmanager
+    def one(self, give_up: Callable[[], object]) -> Generator[None]:
+        """Receive a message inside; `give_up` is called when that takes too long, or long while others wait."""
+        key = object()
+        with self._changed:
+            while len(self._started_s) >= RECEIVED_AT_ONCE:
+                oldest, (started_s, end) = next(iter(self._started_s.items()))
+                left_s = started_s + _GIVES_WAY_S - time.monotonic()
+                if left_s <= 0:
+                    del self._started_s[oldest]
+                    end()
+                else:
+                    self._changed.wait(left_s)
+            self._started_s[key] = time.monotonic(), give_up
+        late = threading.Timer(RECEIVE_S, give_up)
+        late.daemon = True
+        late.start()
+        try:
+            yield
+        finally:
+            late.cancel()
+            with self._changed:
+                self._started_s.pop(key, None)
+                self._changed.notify()
 
 
 def _who(context: Any, label: str) -> str:

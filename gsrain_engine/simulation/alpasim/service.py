@@ -34,14 +34,19 @@ class SensorsimServer(RenderServer):
         def aggregated(request: Any, context: Any) -> Any:
             self._check_batch(len(request.rgb_requests) + len(request.lidar_requests))
             answer = message("AggregatedRenderReturn")()
-            answer.rgb_returns.extend(rgb(each, context) for each in request.rgb_requests)
-            answer.lidar_returns.extend(lidar(each, context) for each in request.lidar_requests)
+            for each in request.rgb_requests:
+                self.check_answer_bytes(answer.ByteSize())
+                answer.rgb_returns.append(rgb(each, context))
+            for each in request.lidar_requests:
+                self.check_answer_bytes(answer.ByteSize())
+                answer.lidar_returns.append(lidar(each, context))
             return answer
 
         def batch(request: Any, context: Any) -> Any:
             self._check_batch(len(request.items))
             answer = message("BatchRGBRenderReturn")()
             for each in request.items:
+                self.check_answer_bytes(answer.ByteSize())
                 item = answer.items.add(camera_name=each.camera_name)
                 try:
                     item.result.CopyFrom(rgb(each.request, context))

@@ -32,7 +32,9 @@ _FARTHEST_M = 1e6
 _EGO_HEIGHT_M = 1.5  # of the ego frame above the origin of CARLA's vehicles, which is on the ground
 _SHUTTER = "200.0"  # CARLA's default of `shutter_speed`, in 1/s
 _SHORTEST_S, _LONGEST_S = 1e-5, 0.1
-_STEEPEST_DEG = 60.0
+_LARGEST_MAPPING = 1000
+STEEPEST_DEG = 60.0
+"""Largest elevation of a lidar's beams."""
 _LIDAR_MATT = 0.2  # near-infrared reflectance of all surfaces
 
 CLASSES: dict[str, tuple[str, ...]] = {
@@ -233,9 +235,9 @@ class CanvasRenderer:
         ranges, intensities = np.full(len(own), np.inf), np.zeros(len(own))
         if len(own):
             beams = [math.degrees(math.asin(max(-1.0, min(1.0, each)))) for each in (own[:, 2].min(), own[:, 2].max())]
-            if not -_STEEPEST_DEG <= beams[0] <= beams[1] <= _STEEPEST_DEG:
+            if not -STEEPEST_DEG <= beams[0] <= beams[1] <= STEEPEST_DEG:
                 raise ValueError(
-                    f"sensor {view.sensor_id}: lower_fov, upper_fov: must be within +-{_STEEPEST_DEG:g} degrees"
+                    f"sensor {view.sensor_id}: lower_fov, upper_fov: must be within +-{STEEPEST_DEG:g} degrees"
                 )
             sensor = structs.replace(
                 SENSORS["128"],
@@ -281,6 +283,8 @@ def _placement(given: Any) -> Pose:
 def _mapping(name: str, given: Any, fields: tuple[str, ...] | None = None) -> dict[str, Any]:
     if not isinstance(given, dict):
         raise ValueError(f"{name}: must be a mapping")
+    if len(given) > _LARGEST_MAPPING:  # pyright: ignore[reportUnknownArgumentType]
+        raise ValueError(f"{name}: must have at most {_LARGEST_MAPPING:,} entries")
     found: dict[str, Any] = {str(key): value for key, value in given.items()}  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
     for key in found if fields is not None else ():
         if key not in (fields or ()):

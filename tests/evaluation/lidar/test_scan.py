@@ -16,6 +16,7 @@ from gsrain_engine.evaluation.lidar.results import ReturnCounts, rain_runs, writ
 from gsrain_engine.evaluation.lidar.scan import (
     ROOF_M,
     ReturnOutcome,
+    _meet,
     capture_turns,
     estimate_sensor_range,
     full_intensity,
@@ -291,3 +292,23 @@ def test_runs_of_turns_have_a_figure(tmp_path):
     assert 0 == counts[0].near.false.sum() < counts[3].near.false.sum()
     write_figure(tmp_path / "lidar.png", runs[3], {0.0: counts[:2], 50.0: counts[2:]})
     assert cv2.imread(str(tmp_path / "lidar.png")).std() > 10
+
+
+def test_beams_without_a_direction_are_refused_and_no_place_is_read_beyond_the_image():
+    pose = np.eye(4)
+    for wrong in (np.nan, np.inf, 0.0, 1e308):
+        own = np.array([[1.0, 0, 0], [wrong, 0, 0]])
+        with pytest.raises(ValueError, match="directions"):
+            scan_scene(thin_scene(), 0.0, pose, SENSORS["64"], own=own)
+    with pytest.raises(ValueError, match="sensor_to_world"):
+        scan_scene(thin_scene(), 0.0, np.full((4, 4), np.nan), SENSORS["64"])
+    hostile = np.array([np.nan, np.inf, -np.inf, -1.0, 16.0, 1e308, 5.0])
+    places = np.stack([hostile, np.full(len(hostile), 5.0)], axis=1)
+    found = np.zeros((len(places), 4))
+    shapes = np.array([[5, 5, 0, -0.1, -0.1, 0, -6, 8]], np.float32)  # one splat, in one tile
+    planes = np.array([[0.0, 0, -1, -3, 3]])
+    lists = np.array([0, 1]), np.array([0], np.int32), 1
+    _meet(shapes, *lists, planes, np.zeros(1, bool), np.tile([0.0, 0, 1], (len(places), 1)), places, found)
+    np.testing.assert_array_equal(found[:, 0], [0, 0, 0, 0, 0, 0, 3])
+    _meet(shapes, *lists, planes, np.zeros(1, bool), np.tile([0.0, 0, 1], (len(places), 1)), places[:, ::-1], found)
+    np.testing.assert_array_equal(found[:, 0], [0, 0, 0, 0, 0, 0, 3])

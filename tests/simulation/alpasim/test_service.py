@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from threading import Thread
+from threading import Event, Thread
 from typing import Any
 
 import grpc
@@ -25,6 +25,7 @@ from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.scene.scene import Actor, PoseTrack, Scene
 from gsrain_engine.simulation.alpasim import messages
 from gsrain_engine.simulation.alpasim.messages import HEALTH_SERVICE, SERVICE, calls, message
+from gsrain_engine.simulation.alpasim.server import MAX_REQUEST_BYTES, RECEIVED_AT_ONCE
 from gsrain_engine.simulation.alpasim.service import SensorsimServer
 from gsrain_engine.simulation.alpasim.simulator import Simulator
 from small_scene import patch, small_scene
@@ -286,8 +287,6 @@ def test_killed_clients_leave_nothing(server: SensorsimServer, client: Client, t
 
 def wait_for(is_true: Any) -> None:
     """Wait until the server's threads have seen that a client is gone: they look ten times a second."""
-    from threading import Event
-
     for _ in range(300):
         if is_true():
             return
@@ -318,6 +317,13 @@ def test_more_calls_than_sessions_are_turned_away(scene: Scene) -> None:
             SensorsimServer(opened, f"127.0.0.1:{server.port}")
         for wrong in (Client(server.port), Client(server.port, authorization="Bearer secre")):
             assert status_of(lambda wrong=wrong: wrong.call("get_version")) == "UNAUTHENTICATED"
+            never = wrong.channel.stream_unary(f"/{SERVICE}/render_rgb")  # refused before it sends a message
+            unsent = Event()
+            silent = never.future(iter(unsent.wait, True), metadata=wrong.metadata, timeout=30)
+            assert silent.exception().code().name == "UNAUTHENTICATED"
+            unsent.set()
+        with pytest.raises(ValueError, match="--token"):
+            SensorsimServer(opened, "127.0.0.1:0", token="secr\u00e9t")
     finally:
         server.stop(1)
 
@@ -401,6 +407,23 @@ def test_bytes_that_are_no_message_end_in_a_status(client: Client) -> None:
     assert answer.items[0].error_message.startswith("NOT_FOUND: scene_id")
     batch.items.extend(batch.items[:1] * 64)
     assert status_of(lambda: client.call("batch_render_rgb", batch)) == "INVALID_ARGUMENT"
+
+
+def test_messages_that_never_end_give_way(
+    server: SensorsimServer, client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert status_of(lambda: client.raw("render_rgb", bytes(MAX_REQUEST_BYTES + 1))) == "RESOURCE_EXHAUSTED"
+    monkeypatch.setattr("gsrain_engine.simulation.alpasim.server._GIVES_WAY_S", 0.0)
+    unsent, streams = Event(), client.channel.stream_unary(f"/{SERVICE}/render_rgb")
+    silent = [streams.future(iter(unsent.wait, True), timeout=60) for _ in range(2 * RECEIVED_AT_ONCE)]
+    for _ in range(3):  # these are received all the same, in place of the silent calls
+        assert client.call("get_available_scenes").scene_ids
+    wait_for(lambda: sum(each.done() for each in silent) >= RECEIVED_AT_ONCE)
+    assert {each.code().name for each in silent if each.done()} == {"CANCELLED"}
+    monkeypatch.setattr("gsrain_engine.simulation.alpasim.server.RECEIVE_S", 0.0)
+    late = client.channel.stream_unary(f"/{SERVICE}/render_rgb").future(iter(unsent.wait, True), timeout=60)
+    assert late.exception().code().name == "CANCELLED"
+    unsent.set()
 
 
 # The command

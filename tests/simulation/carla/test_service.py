@@ -17,8 +17,9 @@ from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.scene import Scene
 from gsrain_engine.simulation.alpasim.simulator import Simulator
+from gsrain_engine.simulation.carla import service as carla_service
 from gsrain_engine.simulation.carla.service import CanvasServer
-from simulation.alpasim.test_service import scene_with_car, status_of
+from simulation.alpasim.test_service import scene_with_car, status_of, wait_for
 
 encodings: Any = pytest.importorskip("carla_canvas.encodings")
 pb: Any = pytest.importorskip("carla_canvas.v1.renderer_pb2")
@@ -50,11 +51,7 @@ class Program:
     """A program of CARLA with a car, a camera, a depth camera and a lidar on it, and another car."""
 
     def __init__(self, server: CanvasServer, town: str = "dry", **config: Any) -> None:
-        options = [
-            ("grpc.max_receive_message_length", -1),
-            ("grpc.use_local_subchannel_pool", 1),
-        ]
-        self.channel = grpc.insecure_channel(f"127.0.0.1:{server.port}", options)
+        self.channel = self.connected(server)
         self.stub = pb_grpc.RendererStub(self.channel)
         self.frames = 0
         self.load(town, **config)
@@ -64,6 +61,12 @@ class Program:
             LIDAR, "sensor.lidar.ray_cast", channels=16, range=60, points_per_second=40_000, upper_fov=5, lower_fov=-8,
             rotation_frequency=10, dropoff_general_rate=0, dropoff_intensity_limit=0,
         )  # fmt: skip
+
+    @staticmethod
+    def connected(server: CanvasServer) -> Any:
+        """A connection of its own."""
+        options = [("grpc.max_receive_message_length", -1), ("grpc.use_local_subchannel_pool", 1)]
+        return grpc.insecure_channel(f"127.0.0.1:{server.port}", options)
 
     def load(self, town: str, **config: Any) -> None:
         request = pb.LoadWorldRequest(map_name=f"Carla/Maps/{town}", episode_id=7)
@@ -191,6 +194,8 @@ WRONG_FRAMES: list[dict[str, Any]] = [
 def test_what_is_wrong_ends_in_a_status(server: CanvasServer) -> None:
     program = Program(server)
     assert status_of(lambda: program.load("Town01")) == "INVALID_ARGUMENT"  # there are two scenes, of other names
+    for options in (5, "fast", [1], True):
+        assert status_of(partial(program.load, "dry", options=options)) == "INVALID_ARGUMENT"
     for assets in WRONG_WORLDS:
         assert status_of(partial(program.load, "dry", assets=assets)) == "INVALID_ARGUMENT"
     for kind, attributes in WRONG_SENSORS:
@@ -211,6 +216,97 @@ def test_what_is_wrong_ends_in_a_status(server: CanvasServer) -> None:
     fresh = grpc.insecure_channel(f"127.0.0.1:{server.port}", [("grpc.use_local_subchannel_pool", 1)])
     assert status_of(partial(pb_grpc.RendererStub(fresh).Render, pb.RenderRequest())) == "FAILED_PRECONDITION"
     fresh.close()
+
+
+HOSTILE = ("nan", "inf", "-inf", "0", "-1", "1e308", "-1e308", "1e-308", "x", "9" * 400, "1", "20")
+
+
+@pytest.mark.parametrize("kind", ["camera.rgb", "lidar.ray_cast"])
+def test_numbers_of_a_sensor_are_those_that_can_be_drawn(server: CanvasServer, kind: str) -> None:
+    program = Program(server, "rainy")
+    sound = {
+        "image_size_x": 24,
+        "image_size_y": 16,
+        "points_per_second": 300,
+        "channels": 2,
+        "dropoff_general_rate": 0,
+    }
+    drawn = 0
+    for name in carla_service.ATTRIBUTES[kind.partition(".")[0]]:
+        for value in HOSTILE:
+            try:
+                program.spawn(9, f"sensor.{kind}", **sound | {name: value})
+            except grpc.RpcError as error:
+                assert error.code().name == "INVALID_ARGUMENT" and name in error.details(), (name, value)
+                continue
+            request = program.request()
+            request.sensors.add(sensor_id=9, deliver=True)
+            request.snapshot.actors.add(id=9)
+            drawn += len(program.stub.Render(request).measurements)
+    assert drawn > 2
+    for name in ("upper_fov", "horizontal_fov") if kind.startswith("lidar") else ("fov", "image_size_x"):
+        for value in ("nan", "0" if name != "upper_fov" else "91"):
+            assert status_of(partial(program.spawn, 9, f"sensor.{kind}", **{name: value})) == "INVALID_ARGUMENT"
+
+
+def test_a_program_remembers_no_more_than_it_may(server: CanvasServer) -> None:
+    program = Program(server)
+    long = {f"a{k}": "x" * 1000 for k in range(5)}
+    assert status_of(partial(program.spawn, 9, "sensor.camera.rgb", **long)) == "INVALID_ARGUMENT"
+    for number in range(10, 30):
+        if number < 25:
+            program.spawn(number, "sensor.camera.rgb", image_size_x=4096, image_size_y=2048)
+    with pytest.raises(grpc.RpcError) as full:
+        program.spawn(25, "sensor.camera.rgb", image_size_x=4096, image_size_y=2048)
+    assert full.value.code().name == "RESOURCE_EXHAUSTED"
+    program.spawn(24, "sensor.camera.rgb", image_size_x=4096, image_size_y=2048)  # in place of the same one
+    first, second = program.request(), program.request()
+    for request, start in ((first, 1_000), (second, 21_000)):
+        for k in range(15_000):
+            request.snapshot.actors.add(id=start + k)
+        program.stub.Render(request)
+    assert status_of(partial(program.stub.Render, many_parents(program))) == "INVALID_ARGUMENT"
+    third = program.request()
+    program.stub.Render(third)
+    (world,) = [each for each in server._worlds.values() if len(each.sensors) > 15]
+    assert len(world.scene.states) < 100
+
+
+def many_parents(program: Program) -> Any:
+    """A frame whose camera is mounted on itself, by way of others."""
+    request = program.request(CAMERA)
+    request.new_actors.extend(_actor(number, "vehicle.a", number % 30 + 100) for number in range(100, 130))
+    request.new_actors.add(id=CAMERA, parent_id=100, type_id="sensor.camera.rgb")
+    return request
+
+
+def test_a_world_stays_with_a_program_that_is_connected(scene: Scene) -> None:
+    def opened() -> Simulator:
+        simulator = Simulator("cpu")
+        simulator.add("dry", scene, RainSimulation.start(RainSettings(intensity_mm_h=0.0)))
+        return simulator
+
+    server = CanvasServer(opened, "127.0.0.1:0", sessions=2)
+    try:
+        first, second = Program(server), Program(server)
+        for _ in range(3):  # what asks without a world of its own has none to take
+            stranger = Program.connected(server)
+            assert pb_grpc.RendererStub(stranger).GetInfo(pb.GetInfoRequest()).name == "gsrain"
+            stranger.close()
+        assert status_of(partial(Program, server)) == "RESOURCE_EXHAUSTED"
+        assert first.frame(CAMERA) and second.frame(CAMERA)
+        second.channel.close()
+        wait_for(partial(has_room, server))
+        assert first.frame(CAMERA)
+    finally:
+        server.stop(1)
+
+
+def has_room(server: CanvasServer) -> bool:
+    try:
+        return Program(server) is not None
+    except grpc.RpcError:
+        return False
 
 
 def test_the_command_ends_with_the_program_that_started_it(monkeypatch: pytest.MonkeyPatch) -> None:
