@@ -24,6 +24,7 @@ need xvfb command -v Xvfb
 need xauth command -v xauth
 if [ "${1:-}" = tests ] && { [ "$(id -u)" = 0 ] || [ -n "$missing" ]; }; then
     need chromium sh -c 'command -v chromium || command -v chromium-browser || command -v google-chrome'
+    need libxtst6 library libXtst.so.6
 fi
 [ -n "$missing" ] || exit 0
 
