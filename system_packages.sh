@@ -24,6 +24,7 @@ need xvfb command -v Xvfb
 need xauth command -v xauth
 if [ "${1:-}" = tests ] && { [ "$(id -u)" = 0 ] || [ -n "$missing" ]; }; then
     need chromium sh -c 'command -v chromium || command -v chromium-browser || command -v google-chrome'
+    need libxtst6 library libXtst.so.6
     if [ "$(. /etc/os-release 2>/dev/null && echo "$VERSION_ID")" = 12 ]; then # Debian 13 has none any more
         need libosmesa6 library libOSMesa.so.8
     fi

@@ -25,6 +25,18 @@ from ui.panels.registry import all_panels  # noqa: E402
 from ui.window import MainWindow  # noqa: E402
 
 
+def shrink_painting():
+    """Shrink what is painted, while nobody looks: the processor paints it, which takes most of a frame's time."""
+    scale = imgui.ImVec2(1 / 16, 1 / 16)
+    imgui.get_io().display_framebuffer_scale = imgui.get_main_viewport().framebuffer_scale = scale
+
+
+def wait_for_double_clicks():
+    """Let the machine be busy between two clicks of a double click."""
+    io = imgui.get_io()
+    io.mouse_double_click_time, io.mouse_single_click_delay = 60.0, 61.0  # s
+
+
 class Driver:
     """A window, and what a hand on mouse and keyboard can do."""
 
@@ -56,6 +68,7 @@ class Driver:
             engine.config_watchdog_kill_test = engine.config_watchdog_warning = 600.0  # s; the machine may be busy
             self.until(lambda: self.window.workspace is not None, 100_000)
             self.window.workspace.max_fps = 0.0
+            wait_for_double_clicks()
             self.until(lambda: self.pictures.is_settled, 100_000)
             self.frames(3)
             try:
@@ -261,12 +274,10 @@ class Driver:
         return np.asarray(ImageGrab.grab(xdisplay=None).convert("RGB")).astype(int)[:height, :width]
 
     def _before_painting(self):
-        """Shrink what is painted, while nobody looks: the processor paints it, which takes most of a frame's time."""
         if self._is_over:  # a window at rest would close seconds later
             hello_imgui.get_runner_params().fps_idling.enable_idling = False
         if not self._is_seen:
-            scale = imgui.ImVec2(1 / 16, 1 / 16)
-            imgui.get_io().display_framebuffer_scale = imgui.get_main_viewport().framebuffer_scale = scale
+            shrink_painting()
 
     def picture(self):
         """Image of the viewport, by the screenshot command, with all pixels."""

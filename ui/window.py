@@ -37,6 +37,7 @@ from gsrain_engine.safe_io.text_files import escape_invisible
 from gsrain_engine.scene.files import whole_file
 from gsrain_engine.simulation.rollout_io import ROLLOUT_SUFFIXES
 
+from .input_queue import InputQueue
 from .widgets.text import escape_all_text
 from .widgets.type_ahead import install_type_ahead
 
@@ -150,7 +151,7 @@ class MainWindow:
         self._ended_by: int | None = None
         self._style: Preferences | None = None
         self._content_scale = 1.0
-        self._presses: object = None
+        self._input: InputQueue | None = None
         self.failure: Exception | None = None
         """Error that prevented the program from loading or continuing, and closes the window."""
 
@@ -186,7 +187,8 @@ class MainWindow:
         callbacks.pre_new_frame = self._guarded(self._update)
         callbacks.show_menus = self._guarded(lambda: self.workspace.draw_menus() if self.workspace else None)
         callbacks.show_status = self._guarded(lambda: self.workspace.draw_status() if self.workspace else None)
-        callbacks.after_swap = self._guarded(lambda: self.workspace.rest() if self.workspace else None)
+        callbacks.post_new_frame = lambda: self._input.continue_frame() if self._input else None
+        callbacks.after_swap = self._guarded(self._rest)
         callbacks.before_exit = self._end
         # ImGui antialiases its own edges: multisampling would only slow down software rendering.
         parameters.renderer_backend_options.open_gl_options = hello_imgui.OpenGlOptions(anti_aliasing_samples=0)
@@ -251,7 +253,7 @@ class MainWindow:
         self._pictures = SharedContext(window)
         glfw.set_drop_callback(window, lambda _, paths: self.drop(paths))
         glfw.set_window_close_callback(window, lambda _: self.ask_to_close())
-        self._presses = delay_presses(window)
+        self._input = InputQueue(window)
         self._loader.start()
 
     def _load(self) -> None:
@@ -279,6 +281,14 @@ class MainWindow:
                 self.workspace.close()
             self.workspace = None
             hello_imgui.get_runner_params().app_shall_exit = True
+        if self._input is not None and self._input.begin_frame():
+            hello_imgui.get_runner_params().fps_idling.enable_idling = False
+
+    def _rest(self) -> None:
+        if self.workspace is not None:
+            self.workspace.rest()
+        if self._input is not None:
+            self._input.end_frame()
 
     def advance(self, context: moderngl.Context) -> None:
         if self.workspace is not None:
@@ -356,30 +366,6 @@ def leave_out_background(window: hello_imgui.DockableWindow) -> None:
         draw()
 
     window.gui_function = draw_window
-
-
-# Mouse
-
-
-def delay_presses(window: Any) -> object:
-    """Let a press of a mouse button that comes with a move wait for the frame after the move.
-
-    A click on a tab or the viewport, which others may overlap, counts only if the mouse was over it one frame before.
-    ImGui delays presses of touch screens, which are always new to their place: each press counts as one of these.
-    Returns the callback, which has to live as long as the window.
-    """
-    of_imgui: Any = None
-
-    def press(window: Any, button: int, action: int, modifiers: int) -> None:
-        io = imgui.get_io()
-        if action == glfw.PRESS:
-            io.add_mouse_source_event(imgui.MouseSource.touch_screen)
-        of_imgui(window, button, action, modifiers)
-        io.add_mouse_source_event(imgui.MouseSource.mouse)
-
-    callback = glfw._GLFWmousebuttonfun(press)  # the public function doesn't return ImGui's own callback
-    of_imgui = glfw._glfw.glfwSetMouseButtonCallback(window, callback)
-    return callback
 
 
 # OpenGL context of the pictures

@@ -31,9 +31,7 @@ _FOR_THREADS_S = 0.001  # sleep per frame while threads work: without it they ra
 _IDLE_FPS = 0.3  # A frame costs 80 ms in software rendering; events wake up the window immediately
 _WATCHING_FPS = 10.0  # frame rate for progress bars while workers run without user input
 _SOFTWARE_FPS = 36.0  # maximum frame rate of a software rasterizer: picture and jobs need the cores, too
-_DOUBLE_CLICK_S = 0.3
-_ACTIVE_S = 3.0  # after an event, before a window at rest sleeps
-_CLICK_FRAMES = 6  # of a double click: ImGui takes one press or release in a frame, which can be long
+_ACTIVE_S, _ACTIVE_FRAMES = 3.0, 6  # after an event, before a window at rest sleeps
 
 
 class Workspace:
@@ -112,14 +110,11 @@ class Workspace:
         """Advance time. Call it once per frame, before drawing."""
         editor, viewport, wet_look = self.editor, self.editor.viewport, self.editor.wet_look
         self._began_s = time.perf_counter()
-        io = imgui.get_io()
-        io.mouse_double_click_time = max(_DOUBLE_CLICK_S, _CLICK_FRAMES * self._took_s)
-        io.mouse_single_click_delay = io.mouse_double_click_time + _DOUBLE_CLICK_S  # ImGui asserts that it is longer
         front = self._settled_front or self._first_front
         self.folded.update({each.window_name for each in all_panels() if each.title in front})
         self._take_picture()
         self._remember_panels()
-        editor.tick(self._pace.step(io.delta_time))
+        editor.tick(self._pace.step(imgui.get_io().delta_time))
         if editor.is_working:
             time.sleep(_FOR_THREADS_S)
         viewport.job_previews = self._previews.update(editor.jobs.running)
@@ -134,7 +129,7 @@ class Workspace:
         idling.fps_idle = _WATCHING_FPS if editor.jobs.running else _IDLE_FPS
         resting = not (editor.is_bringing_in or viewport.budget.is_settling)
         resting = resting and not (editor.rollouts.mosaic.is_behind or is_file_dialog_open())
-        idling.time_active_after_last_event = max(_ACTIVE_S, _CLICK_FRAMES * self._took_s)
+        idling.time_active_after_last_event = max(_ACTIVE_S, _ACTIVE_FRAMES * self._took_s)
         idling.enable_idling = resting and self.pictures.is_current and not self._plays
         idling.fps_max = 0.0 if self._plays else self.max_fps
         if editor.should_quit:
