@@ -139,6 +139,8 @@ def _image_folder(path: Path, model_folder: Path, model: "ColmapModel", names_fi
 
 
 def _mask_file(folder: Path, name: str) -> Path | None:
+    if not Path(name).name:  # "." of a damaged file
+        return None
     candidates = (folder.parent / "masks" / f"{name}.png", folder.parent / "masks" / Path(name).with_suffix(".png"))
     return next((file for file in candidates if file.is_file()), None)
 
