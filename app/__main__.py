@@ -1,12 +1,49 @@
 """Entry point of `gsrain` and `python -m app`."""
 
+import os
+import signal
 import sys
+from typing import NoReturn
 
-from .main import run
+_MIN_ADDRESS_SPACE_BYTES = 2 << 30  # below, libraries hang or crash while they load
+_BAD_INPUT, _INTERRUPTED = 2, 130
 
 
 def main() -> None:
-    sys.exit(run(sys.argv[1:]))
+    """Run the program. Ctrl-C also ends it by one line while its libraries load."""
+    is_ours = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    if is_ours:
+        signal.signal(signal.SIGINT, _stop)  # an exception could be lost in a library that loads
+    _check_address_space()
+    from .main import run
+
+    try:
+        if is_ours:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+        code = run(sys.argv[1:])
+    except KeyboardInterrupt:
+        _stop()
+    sys.exit(code)
+
+
+def _stop(*_: object) -> NoReturn:
+    os.write(2, b"gsrain: stopped\n")
+    os._exit(_INTERRUPTED)
+
+
+def _check_address_space() -> None:
+    if sys.platform == "win32":
+        return
+    import resource
+
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if limit != resource.RLIM_INFINITY and limit < _MIN_ADDRESS_SPACE_BYTES:
+        needed = _MIN_ADDRESS_SPACE_BYTES >> 20
+        print(
+            f"gsrain: the address space is limited to {limit >> 20} MiB (ulimit -v), at least {needed} MiB are needed",
+            file=sys.stderr,
+        )
+        sys.exit(_BAD_INPUT)
 
 
 if __name__ == "__main__":

@@ -151,6 +151,8 @@ def _image_folder(path: Path, model_folder: Path, model: "ColmapModel", names_fi
 
 
 def _mask_file(folder: Path, name: str) -> Path | None:
+    if not Path(name).name:  # "." of a damaged file
+        return None
     names = dict.fromkeys((name_on_disk(folder, name), name.replace("\\", "/")))
     masks = folder.parent / "masks"
     candidates = [mask for each in names for mask in (masks / f"{each}.png", masks / Path(each).with_suffix(".png"))]

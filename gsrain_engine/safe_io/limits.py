@@ -14,7 +14,8 @@ import stat
 import threading
 import time
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
 from io import BufferedReader
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, NoReturn
@@ -23,6 +24,11 @@ import lazy_loader
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection
+
+try:
+    import resource
+except ImportError:  # Windows
+    resource = None
 
 psutil: Any = lazy_loader.load("psutil")  # every command imports this module
 ssl: Any = lazy_loader.load("ssl")
@@ -220,6 +226,14 @@ class ExpansionBudget(ByteBudget):
         return max(0, self.max_bytes - self.spent_bytes)
 
 
+def address_space_bytes() -> int | None:
+    """Limit of this process's address space (`ulimit -v`); None without one."""
+    if resource is None:
+        return None
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    return None if limit == resource.RLIM_INFINITY else limit
+
+
 def reading_deadline(stored_bytes: int) -> Deadline:
     """Deadline for a library to read a file or to find the next row of one: a minute, and a second for each MB."""
     return Deadline(_MIN_READING_S + _READING_S_PER_BYTE * stored_bytes)
@@ -344,6 +358,31 @@ def open_pipe(path: Path, flags: int) -> int:
         os.close(descriptor)
         raise InputError(errno.EINVAL, "not a pipe", str(path))
     return descriptor
+
+
+@contextmanager
+def reader_of_pipe(path: Path) -> Generator[None]:
+    """Wait until another process reads a named pipe, so that opening it for writing does not block in the block.
+
+    Raises `InputError` if there is none within `PIPE_WAIT_S`.
+    """
+    deadline = Deadline(PIPE_WAIT_S)
+    while True:
+        try:
+            pipe = open_pipe(path, os.O_WRONLY)
+            break
+        except OSError as error:
+            if error.errno != errno.ENXIO:
+                raise
+            if deadline.left_s == 0:
+                raise InputError(
+                    errno.ETIMEDOUT, f"a pipe that nobody reads within {PIPE_WAIT_S:g} s", str(path)
+                ) from None
+            time.sleep(min(_LOOK_S, deadline.left_s))
+    try:
+        yield
+    finally:
+        os.close(pipe)
 
 
 def receive_message(connection: "Connection", max_bytes: int) -> Any:

@@ -18,12 +18,12 @@ import sys
 import threading
 import time
 from collections.abc import Generator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..safe_io.limits import read_input
+from ..safe_io.limits import read_input, reader_of_pipe
 from ..safe_io.text_files import printable_line
 
 _PART = re.compile(r"\..*\.[0-9a-f]{8}\.part", re.DOTALL)  # names that only this program uses
@@ -46,7 +46,8 @@ def whole_file(path: Path) -> Generator[Path]:
     """
     path = path.resolve() if path.is_symlink() else path
     if _is_special(path):
-        yield path
+        with reader_of_pipe(path) if path.is_fifo() else nullcontext():
+            yield path
         return
     path.parent.mkdir(parents=True, exist_ok=True)
     remove_abandoned(path.parent)

@@ -28,6 +28,38 @@ def test_a_removed_working_directory_is_reported(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
 
 
+def started(before: str, *arguments: str) -> "subprocess.CompletedProcess[str]":
+    """Start the program as its script does, after some statements."""
+    program = f"import sys, signal, resource\n{before}\nfrom app.__main__ import main\nmain()"
+    command = [sys.executable, "-c", program, *arguments]
+    return subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False)
+
+
+INTERRUPTED_IMPORT = """
+class Finder:
+    def find_spec(self, name, path=None, target=None):
+        if name == {name!r}:
+            sys.meta_path.remove(self)
+            signal.raise_signal(signal.SIGINT)
+sys.meta_path.insert(0, Finder())
+"""
+
+
+@pytest.mark.parametrize("name", ["app.main", "cyclopts", "gsrain_engine"])
+def test_ctrl_c_while_libraries_load_is_one_line(name):
+    ended = started(INTERRUPTED_IMPORT.format(name=name), "--version")
+    assert (ended.returncode, ended.stdout, ended.stderr) == (130, "", "gsrain: stopped\n")
+
+
+@pytest.mark.parametrize("size_mib", [300, 800, 2047])
+def test_too_little_address_space_is_one_sentence(size_mib):
+    limit = size_mib << 20
+    ended = started(f"resource.setrlimit(resource.RLIMIT_AS, ({limit}, {limit}))", "info", "street")
+    assert ended.returncode == BAD_INPUT and ended.stdout == ""
+    (line,) = ended.stderr.splitlines()
+    assert f"{size_mib} MiB" in line and "2048 MiB" in line and "ulimit -v" in line
+
+
 def test_a_library_that_can_t_be_loaded_is_one_sentence(monkeypatch, capsys):
     missing = "libGL.so.1: cannot open shared object file"
     monkeypatch.setattr("app.scene.load_scene", lambda name: (_ for _ in ()).throw(ImportError(missing)))

@@ -17,6 +17,7 @@ from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from gsrain_engine.scene.scene import PoseTrack
 from tests.scene.formats.sample_files import SMALL_FILES, assert_valid, write_small, write_sog_folder
 from tests.scene.formats.test_scene_folder import sample_scene
+from tests.scene.test_camera_path import write_gltf_camera
 
 from .mutations import Damage, damaged_bytes, damaged_glb, damaged_header, damaged_json, inside_gzip, inside_zip
 from .reader import Reader, one_file
@@ -135,6 +136,12 @@ SCENE_READERS = (
     _json("camera-path", "path.json", _own_path, lambda path: assert_path(read_camera_path(path))),
     _json("nerfstudio-path", "path.json", _nerfstudio_path, lambda path: assert_path(read_camera_path(path))),
     _json("3dgs-cameras", "cameras.json", _training_cameras, lambda path: assert_path(read_camera_path(path))),
+    _row(
+        "gltf-camera",
+        one_file("path.gltf", partial(write_gltf_camera, uri="data:,{}")),
+        lambda path: assert_path(read_camera_path(path)),
+        ("*.gltf", damaged_json),
+    ),
     _json("camera", "camera.json", _camera, lambda path: assert_camera(read_camera(path))),
 )
 """Scenes, and what looks at them."""

@@ -93,6 +93,20 @@ def test_pipes_without_a_writer_are_refused(command, scene, tmp_path, capsys, mo
     assert command in FILES or error.endswith("a pipe that has not ended within 0.1 s")
 
 
+@pytest.mark.parametrize("command", ["render {scene} -o {out}.png --json {}", "convert {scene} {}.ply"])
+def test_pipes_that_nobody_reads_are_refused(command, scene, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(limits, "PIPE_WAIT_S", 0.1)
+    words = [*command.split(), "--backend", "cpu", "--size", "48x32"] if "render" in command else command.split()
+    pipe = tmp_path / ("input.ply" if "{}.ply" in command else "input")
+    os.mkfifo(pipe)
+    line = [each.format(tmp_path / "input", scene=scene, out=tmp_path / "out") for each in words]
+    with limited_time(30):
+        assert run(line) == 2
+    error = capsys.readouterr().err.splitlines()[-1]  # after the progress bar
+    assert str(pipe) in error and "nobody reads within 0.1 s" in error
+    assert pipe.is_fifo()
+
+
 @pytest.mark.parametrize("command", [SETTINGS[0], SETTINGS[2], SETTINGS[7]])
 def test_endless_pipes_take_little_memory(command, scene, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("gsrain_engine.scene.files._MAX_BYTES", 1 << 24)

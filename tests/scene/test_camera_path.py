@@ -321,10 +321,12 @@ def test_a_camera_of_gltf_is_where_the_glb_of_its_scene_has_it(tmp_path: Path) -
         write_gltf_camera(tmp_path / "a.gltf", uri=uri)
         np.testing.assert_array_equal(read_camera_path(tmp_path / "a.gltf").positions, in_file.positions)
     write_gltf_camera(tmp_path / "b.glb", "CUBICSPLINE")
-    for name, uri in (("c", "../of%20it.bin"), ("e", "none.bin"), ("f", "data:,{}!")):
+    for name, uri in (("c", "../of%20it.bin"), ("e", "none.bin"), ("f", "data:,{}!"), ("g", "a%00b"), ("h", "a\0/b"),
+                      ("i", "data:,雨")):  # fmt: skip
         write_gltf_camera(tmp_path / f"{name}.gltf", uri=uri)
     problems = {"b.glb": "CUBICSPLINE", "scene.glb": "no camera", "d.glb": "No such file", "c.gltf": "next to it",
-                "e.gltf": "can't be read: No such file", "f.gltf": "no base64"}  # fmt: skip
+                "e.gltf": "can't be read: No such file", "f.gltf": "no base64", "g.gltf": "next to it",
+                "h.gltf": "next to it", "i.gltf": "no base64"}  # fmt: skip
     for file, problem in problems.items():
         with pytest.raises(SceneFormatError, match=problem):
             read_camera_path(tmp_path / file)

@@ -177,7 +177,7 @@ def _named_damages(path: Path) -> Generator[None]:
         raise
     except TooLargeError as error:
         raise CaptureError(f"{path}: its compressed parts are {error.strerror}") from None
-    except (*damages, ValueError, KeyError, OSError, MemoryError, RuntimeError) as error:
+    except (*damages, ValueError, KeyError, OSError, MemoryError, OverflowError, RuntimeError) as error:
         cut_off = type(error).__name__ == "EndOfFile" or isinstance(error, struct.error)
         why = "it is cut off; mcap recover writes one that is not" if cut_off else str(error) or type(error).__name__
         raise CaptureError(f"{path}: not an MCAP file that can be read to its end ({why})") from None
@@ -437,7 +437,7 @@ class SqliteContainer:
             raise CaptureError(f"{self.path}: no such file") from None
         except TooLargeError as error:
             raise CaptureError(f"{self.path}: its messages are {error.strerror}") from None
-        except (sqlite3.Error, KeyError, TypeError, OverflowError, TimeoutError) as error:
+        except (sqlite3.Error, KeyError, TypeError, OverflowError, TimeoutError, UnicodeDecodeError) as error:
             why = error.strerror if isinstance(error, TimeoutError) else str(error)
             raise CaptureError(f"{self.path}: not the database of a ROS 2 bag that can be read ({why})") from None
 
@@ -468,7 +468,8 @@ class Query:
                 rows = self._database.execute(statement, values) if rows is None else rows
                 row = next(rows, None)
             except sqlite3.OperationalError as error:
-                if error.sqlite_errorcode != sqlite3.SQLITE_INTERRUPT:
+                # Errors of Python's module have no code.
+                if getattr(error, "sqlite_errorcode", None) != sqlite3.SQLITE_INTERRUPT:
                     raise
                 deadline.check()
                 raise KeyboardInterrupt from None  # the module drops what its handler raises

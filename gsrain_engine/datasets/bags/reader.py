@@ -139,7 +139,8 @@ class _Contents:
             found = read_calibration(message)
             self.calibrations.setdefault(topic, found)
         elif kind == "cloud":
-            self.clouds.setdefault(topic, []).append(_Recorded(key, _timed(read_cloud(message).stamp, message)))
+            recorded = _Recorded(key, _timed(read_cloud(message).stamp, message))
+            self.clouds.setdefault(topic, []).append(recorded)
         elif topic not in self.untouched:
             image = read_image(message)
             if not is_picture(image):

@@ -5,7 +5,6 @@ Gaussians that a draft extension compresses as SPZ are read, and cameras with th
 """
 
 import base64
-import binascii
 import re
 import struct
 from collections.abc import Callable
@@ -450,17 +449,18 @@ def _chunks(path: Path, data: bytes) -> tuple[memoryview, memoryview]:
 def _outer_buffer(path: Path, uri: str) -> bytes:
     """Bytes of a buffer that stands in the description itself, or in a file of the same folder."""
     head, _, coded = uri.partition(",")
-    try:
-        if head.startswith("data:"):
+    if head.startswith("data:"):
+        try:
             return base64.b64decode(coded, validate=True)
+        except ValueError:  # characters outside of the alphabet, or of ASCII
+            raise SceneFormatError(path, "glTF: its buffer is no base64") from None
+    try:
         file = path.parent / unquote(uri)
-        if not uri or not file.resolve().is_relative_to(path.parent.resolve()):
+        if not uri or "\0" in str(file) or not file.resolve().is_relative_to(path.parent.resolve()):
             raise SceneFormatError(path, f"glTF: its buffer {uri[:80]!r} must be a file next to it")
         return read_file(file)
     except OSError as error:
         raise SceneFormatError(path, f"glTF: its buffer {uri[:80]!r} can't be read: {error.strerror}") from None
-    except binascii.Error:
-        raise SceneFormatError(path, "glTF: its buffer is no base64") from None
 
 
 def _node_matrix(node: _Node) -> Float64[np.ndarray, "4 4"]:

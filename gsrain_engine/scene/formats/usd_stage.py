@@ -237,13 +237,19 @@ def main(stage_file: str, folder: str, limit_bytes: str) -> None:
     if int(limit_bytes) and sys.platform != "win32":
         import resource
 
-        resource.setrlimit(resource.RLIMIT_AS, (int(limit_bytes), resource.RLIM_INFINITY))
+        _, hard = resource.getrlimit(resource.RLIMIT_AS)
+        limit = int(limit_bytes) if hard == resource.RLIM_INFINITY else min(int(limit_bytes), hard)
+        resource.setrlimit(resource.RLIMIT_AS, (limit, hard))
     try:
         result = read_stage(Path(stage_file), Path(folder))
     except ValueError as error:
         result = {"error": str(error)}
     except MemoryError:
         result = {"error": "it needs more memory than is free"}
+    except OSError as error:
+        for array in Path(folder).glob("*.npy"):  # makes room for the reason
+            array.unlink()
+        result = {"error": f"its Gaussians can't be written to {folder}: {error.strerror or error}"}
     (Path(folder) / RESULT).write_text(json.dumps(result))
 
 

@@ -5,8 +5,11 @@ with its placement; that of an actor, and that of the ego vehicle with the camer
 AlpaSim, `metadata.yaml`, `rig_trajectories.json` and `sequence_tracks.json` of NVIDIA's NuRec lie in the file, too.
 """
 
+import errno
 import json
 import os
+import re
+import secrets
 import subprocess
 import sys
 import tempfile
@@ -19,7 +22,7 @@ import numpy as np
 import psutil
 from jaxtyping import Float32, Float64
 
-from ...safe_io.limits import read_file, reading_deadline
+from ...safe_io.limits import address_space_bytes, read_file, reading_deadline
 from ..files import SceneFormatError
 from ..gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
 from ..geometry import quaternions_from_matrices
@@ -37,6 +40,7 @@ _ALIGNMENT = 64  # bytes at whose multiples the files in a .usdz begin
 _CODES_PER_SECOND = 24.0
 _SPARE_BYTES = 2**32  # of address space that USD takes without use
 _SIMILAR = 1e-4  # relative difference between the scales of a prim's axes
+_DISK_ERROR = re.compile(r"writing file: ([^'\n]+)")
 _TO_USD_CAMERA = np.diag([1.0, -1.0, -1.0, 1.0])  # OpenCV's camera (y down, z forward) to USD's (y up, z back)
 _FILM = 0.36  # width of a film of 36 mm in tenths of the stage's unit, the meter, as USD's cameras have it
 _UPS = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
@@ -105,9 +109,10 @@ def _stage(path: Path, root: Path, folder: Path) -> dict[str, Any]:
     except subprocess.TimeoutExpired:
         raise SceneFormatError(path, f"its USD layers can't be read within {limit_s:.0f} s") from None
     if not (folder / RESULT).is_file():
-        raise SceneFormatError(
-            path, f"its USD layers are damaged: the library that reads them ended with {ended.returncode}"
-        )
+        problem = f"its USD layers are damaged: the library that reads them ended with {ended.returncode}"
+        if (space := address_space_bytes()) is not None and space < limit:
+            problem += f", or needs more address space than the limit of {space >> 20} MiB (ulimit -v)"
+        raise SceneFormatError(path, problem)
     found = json.loads((folder / RESULT).read_text())
     if "error" in found:
         raise SceneFormatError(path, found["error"])
@@ -243,9 +248,14 @@ def write_usdz_scene(scene: Scene, path: Path) -> None:
 
     Opacity and grading are baked into the Gaussians, wet colors are left out.
     """
-    with tempfile.TemporaryDirectory(prefix="gsrain-usdz-") as folder:
+    end = f".{secrets.token_hex(4)}.part"  # as of all partial files: removed if this process is killed
+    with tempfile.TemporaryDirectory(prefix=".usdz-", suffix=end, dir=path.parent) as folder:
         root = Path(folder) / _ROOT
-        _write_stage(scene, root)
+        try:
+            _write_stage(scene, root)
+        except pxr_module("Tf").ErrorException as error:
+            found = _DISK_ERROR.search(str(error))
+            raise OSError(errno.EIO, found[1] if found else "the USD layer can't be written", str(path)) from None
         files: Mapping[str, bytes | Path] = {_ROOT: root, **nurec_files(scene)}
         write_stored_zip(path, files, _ALIGNMENT)
 

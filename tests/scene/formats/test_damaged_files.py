@@ -4,6 +4,8 @@ import gzip
 import io
 import json
 import struct
+import subprocess
+import sys
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -365,6 +367,29 @@ def test_what_is_wrong_is_named(file: str, content: Callable[[], bytes], field: 
 
 
 # Memory
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits of other systems differ")
+@pytest.mark.parametrize(("limit", "is_read"), [(12 << 30, True), (400 << 20, False)])
+def test_a_limit_of_the_address_space_is_no_damage(
+    limit: int, is_read: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A hard limit, as `ulimit -v` sets it, which no process may raise."""
+    import resource
+
+    (tmp_path / "a.usdz").write_bytes(usdz(("a.usda", _STAGE % (b"0", b""))))
+    run = subprocess.run
+
+    def limited(command: list[str], **options: Any) -> "subprocess.CompletedProcess[bytes]":
+        return run(command, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (limit, limit)), **options)
+
+    monkeypatch.setattr(subprocess, "run", limited)
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (limit, limit))
+    if is_read:
+        assert len(read_gaussians(tmp_path / "a.usdz")) == 1
+    else:
+        with pytest.raises(SceneFormatError, match=r"a\.usdz: .*400 MiB \(ulimit -v\)"):
+            read_gaussians(tmp_path / "a.usdz")
 
 
 @pytest.mark.parametrize(("size", "most"), [(16, 2**26 // 56), (400_000, 200 * 400_000 // 56)])
