@@ -113,7 +113,7 @@ class Editor:
         """Reset camera and timeline for another scene."""
         self.playback.reset()
         self.viewport.reset()
-        self.live_rain.sky_is_stale = True
+        self.live_rain.look_for_sky()
         self.wet_look.previewed = None
 
     def request_quit(self) -> None:

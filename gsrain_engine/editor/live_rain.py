@@ -34,7 +34,7 @@ class LiveRain:
         self.pending: list[Future[ShelterMap | None]] = []
         """The last search for roofs, to wait for where there are no frames."""
         self.sky_color = SkyColor(OVERCAST, found=False)
-        """Last sample of the scene's sky."""
+        """Sky of the scene: one that was found stays until another is found."""
         self.sky_is_stale = True
         """True if the sky has to be sampled again, e.g. for another scene."""
         document.followers.append(self._follow)
@@ -83,6 +83,10 @@ class LiveRain:
     def needs_sky(self) -> bool:
         """True if the sky has to be sampled for the displayed rain."""
         return self.sky_is_stale and self.displayed.can_rain
+
+    def look_for_sky(self) -> None:
+        """Let the sky be sampled for another scene; the last one stays until then, as not found there."""
+        self.sky_color, self.sky_is_stale = self.sky_color._replace(found=False), True
 
     @property
     def is_searching_roofs(self) -> bool:

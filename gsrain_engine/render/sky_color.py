@@ -46,9 +46,9 @@ def sky_color(
 ) -> SkyColor:
     """Render around a camera's position and average the sky in linear light.
 
-    Sky is the visible part of a sky layer; in a scene without one, distant pixels above the horizon. If there is
-    neither, drops have the color of an overcast sky. Airlight is the mean of the lowest degrees of a sky layer;
-    without one it has the color of drops.
+    Sky is the visible part of a sky layer, or where something hides it all around, its part above the horizon; in a
+    scene without one, distant pixels above the horizon. If there is neither, drops have the color of an overcast sky.
+    Airlight is the mean of the lowest degrees of a sky layer; without one it has the color of drops.
     """
     steps = sample_sky(renderer, scene, place, time_s, thinning, dry=dry)
     while True:
@@ -81,10 +81,27 @@ def sample_sky(
 def _visible_sky(
     renderer: Renderer, scene: Scene, place: Camera, time_s: float, thinning: Thinning | None, *, wetness: float
 ) -> Generator[None, None, SkyLight | None]:
-    """Light of the sky around a position; None if hardly any is visible."""
+    """Light of the sky around a position, also of one that something hides there; None if there is hardly any."""
+    layers = tuple(layer for layer in scene.layers if layer.kind == "sky" and layer.visible)
+    colors, rises = yield from _sky_pixels(renderer, scene, place, time_s, thinning, wetness)
+    if layers and len(colors) < _MIN_PIXELS:  # inside of a truck or a house
+        alone = replace(scene, layers=layers, actors=())
+        colors, rises = yield from _sky_pixels(renderer, alone, place, time_s, thinning, wetness)
+        colors, rises = colors[rises >= 0], rises[rises >= 0]
+    if len(colors) < _MIN_PIXELS:
+        return None
+    lowest = max(np.partition(rises, _LOWEST_PIXELS)[_LOWEST_PIXELS], 0.0)  # without ground, a sky goes on below
+    low = colors[(rises >= 0) & (rises <= lowest + np.sin(np.radians(_HORIZON_DEG)))]
+    return SkyLight(mean_linear_color(colors), mean_linear_color(low if layers and len(low) else colors))
+
+
+def _sky_pixels(
+    renderer: Renderer, scene: Scene, place: Camera, time_s: float, thinning: Thinning | None, wetness: float
+) -> Generator[None, None, tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, " n"]]]:
+    """Display colors of the sky in views around a position, and the sines of their elevations."""
     found: list[np.ndarray] = []
     sines: list[np.ndarray] = []
-    sky = [layer for layer in scene.layers if layer.kind == "sky" and layer.visible]
+    has_sky = any(layer.kind == "sky" and layer.visible for layer in scene.layers)
     without_sky = replace(scene, layers=tuple(layer for layer in scene.layers if layer.kind != "sky"))
     forward = place.world_to_camera[2, :3]
     heading = float(np.arctan2(forward[1], forward[0]))
@@ -98,7 +115,7 @@ def _visible_sky(
         assert frame.depth is not None
         alpha = frame.rgba[..., 3]
         yield
-        if sky:
+        if has_sky:
             renderer.draw(subset_items(without_sky.parts(time_s), thinning, camera), camera)
             mask = (renderer.read().rgba[..., 3] < 0.05) & (alpha > 0.5)
             yield
@@ -107,12 +124,7 @@ def _visible_sky(
             mask = (alpha > 0.5) & (frame.depth > _FAR_M) & (np.arange(_HEIGHT)[:, None] < horizon_row)
         found.append(frame.rgba[mask][:, :3] / alpha[mask][:, None])
         sines.append(_rise(camera)[mask])
-    colors, rises = np.clip(np.concatenate(found).astype(np.float64), 0, 1), np.concatenate(sines)
-    if len(colors) < _MIN_PIXELS:
-        return None
-    lowest = max(np.partition(rises, _LOWEST_PIXELS)[_LOWEST_PIXELS], 0.0)  # without ground, a sky goes on below
-    low = colors[(rises >= 0) & (rises <= lowest + np.sin(np.radians(_HORIZON_DEG)))]
-    return SkyLight(mean_linear_color(colors), mean_linear_color(low if sky and len(low) else colors))
+    return np.clip(np.concatenate(found).astype(np.float64), 0, 1), np.concatenate(sines)
 
 
 def _rise(camera: Camera) -> Float64[np.ndarray, "h w"]:

@@ -62,6 +62,18 @@ def test_a_scene_without_a_sky_layer_has_one_color():
     assert sky_color(CpuRenderer(), Scene("nothing"), camera()).light == OVERCAST
 
 
+def test_a_hidden_sky_layer_gives_its_color_all_the_same():
+    """From inside of a truck, drops have the light of the dusk around it instead of that of a gray day."""
+    y, z = (each.ravel() for each in np.meshgrid(np.arange(-6.0, 7, 0.5), np.arange(-6.0, 7, 0.5)))
+    faces = [np.array([np.full(y.size, at), y, z]) for at in (-5.0, 5.0)]
+    box = np.concatenate([np.roll(face, axis, axis=0).T for face in faces for axis in range(3)])
+    scene, truck = Scene("a", (dome(0.0),)), layer("truck", "background", box, 0.5, WALL)
+    hidden = replace(scene, layers=(*scene.layers, truck))
+    open_air, inside = (sky_color(CpuRenderer(), each, camera()) for each in (scene, hidden))
+    assert open_air.found and inside.found
+    np.testing.assert_allclose(inside.light, open_air.light, atol=0.01)
+
+
 @pytest.mark.parametrize("own", [None, (0.3, 0.5, 0.6)])
 def test_a_far_wall_fades_into_the_horizon(own):
     """In heavy rain, its silhouette is gone at 700 m; a chosen color replaces both."""

@@ -1,5 +1,7 @@
 """Other Gaussians take a scene's place without holding up a frame: uploads in slices, the sky a picture at a time."""
 
+from dataclasses import replace
+
 import msgspec
 import numpy as np
 import pytest
@@ -14,10 +16,17 @@ from gsrain_engine.render.opengl.renderer import SplatRenderer
 from gsrain_engine.render.sky_color import sky_color
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
+from gsrain_engine.scene.scene import Layer
 from live_frames import SIZE, darkened, picture
-from small_scene import small_scene
+from small_scene import patch, small_scene
 
-HERE = Camera.from_fov(96, 64, 50.0, look_at(np.array([0.0, 0, 1.5]), np.array([1.0, 0, 1.5]), np.array([0.0, 0, 1])))
+
+def camera_at(x_m):
+    pose = look_at(np.array([x_m, 0, 1.5]), np.array([x_m + 1, 0, 1.5]), np.array([0.0, 0, 1]))
+    return Camera.from_fov(96, 64, 50.0, pose)
+
+
+HERE = camera_at(0.0)
 
 
 @pytest.mark.parametrize("staged", [False, True])
@@ -127,6 +136,27 @@ def test_no_look_while_something_is_dragged_nor_when_only_the_selection_changes(
         watch.look(renderer, scene.with_member("layers/road", to_scene=moved), HERE, resting=False)
     assert not renderer.limits
     assert not watch.is_through
+
+
+def test_a_sky_that_was_found_stays_until_another_is_found(renderer):
+    """Also where something hides it: a truck around the camera, or the walls of a house."""
+    watch, scene = SkyColorSampler(), small_scene()
+    scene = replace(
+        scene, layers=tuple(replace(each, kind="background") for each in scene.layers)
+    )  # found by its depth
+    front = patch((2, -30, -5), np.array([0, 60.0, 0]), np.array([0, 0, 60.0]), 30, (0.2, 0.2, 0.2))
+    hidden = replace(scene, layers=(*scene.layers, Layer("house", front)))
+    present = watch.look(renderer, scene, HERE, resting=False)
+    assert present.found
+    looks = [watch.look(renderer, hidden, HERE, present, resting=True) for _ in range(20)]
+    assert not sky_color(renderer, hidden, HERE).found
+    assert present in looks and {each for each in looks if each is not None} == {present}
+    assert watch.is_through and not watch.is_exact
+    renderer.limits.clear()
+    assert watch.look(renderer, hidden, HERE, present, resting=True) is None and not renderer.limits
+    beyond = camera_at(20.0)
+    found = next(each for _ in range(20) if (each := watch.look(renderer, hidden, beyond, present, resting=True)))
+    assert found.found and watch.is_exact and found == sky_color(renderer, hidden, beyond)
 
 
 def test_large_scenes_are_looked_at_in_part_first_and_in_full_at_rest(renderer, monkeypatch):

@@ -10,7 +10,7 @@ from typing import Literal
 
 import moderngl
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, Float64
 
 from ...backends import measure_device, rasterizer_for
 from ...compile_cache import has_kernels
@@ -244,7 +244,7 @@ class LiveView:
         if frame.samples_sky:
             resting, whole = not (frame.is_moving or frame.is_playing), frame.screenshot is not None
             camera = frame.view.camera
-            result.sky = self._sky.look(self._renderer, frame.scene, camera, resting=resting, at_once=whole)
+            result.sky = self._sky.look(self._renderer, frame.scene, camera, frame.sky, resting=resting, at_once=whole)
             if result.sky is None and self._sky.is_through:
                 result.sky = self._unused_sky
             self._unused_sky = result.sky
@@ -467,6 +467,7 @@ def uploads_of(members: Iterable[Layer | Actor]) -> Iterator[tuple[Gaussians, Fl
 
 # Sky color, sampled after each change of the scene, one image a frame, so that no frame stalls
 
+_ELSEWHERE_M = 2.0  # from where no sky was found
 _QUICK = 60_000  # number of Gaussians that a first sample draws; a second, full one follows when nothing moves
 
 
@@ -477,7 +478,9 @@ class SkyColorSampler:
         self._sampled: Hashable = None
         """Scene state of the last sample; None before the first."""
         self.is_exact = False
-        """True if the last sample included every Gaussian of the present scene."""
+        """True if the last sample included every Gaussian of the present scene, and has found its sky."""
+        self._skyless_at: Float64[np.ndarray, 3] | None = None
+        """Position from which the last whole sample found no sky: one from elsewhere may."""
         self._requested: Hashable = None
         self._renderer: Renderer | None = None
         self._progress: Generator[None, None, SkyColor] | None = None
@@ -493,14 +496,25 @@ class SkyColorSampler:
         self._sampled = self._requested = self._progress = None
 
     def look(
-        self, renderer: Renderer, scene: Scene, place: Camera, *, resting: bool, at_once: bool = False
+        self,
+        renderer: Renderer,
+        scene: Scene,
+        place: Camera,
+        present: SkyColor | None = None,
+        *,
+        resting: bool,
+        at_once: bool = False,
     ) -> SkyColor | None:
-        """Continue by one image, or to the end if `at_once`; return the sky color when a sample is complete."""
+        """Continue by one image, or to the end if `at_once`; return the sky color when a sample is complete.
+
+        A sample without any sky, as from inside of a house, leaves the `present` one, if that was found in the scene.
+        """
         state = _visible_state(scene)
         is_new, stays = state != self._sampled, state == self._requested and renderer is self._renderer
         self._requested, self._renderer = state, renderer
         self.is_exact &= not is_new
-        self.is_through = not is_new and (self.is_exact or not (resting or at_once))
+        missed = self._skyless_at is not None and np.linalg.norm(place.position - self._skyless_at) < _ELSEWHERE_M
+        self.is_through = not is_new and (self.is_exact or bool(missed) or not (resting or at_once))
         if self.is_through:
             self._progress = None
             return None
@@ -520,10 +534,14 @@ class SkyColorSampler:
                 break
             if not to_the_end:
                 return None
-        if state and not sky.found and scene.name != self._skyless:  # a scene that is still loading shows nothing
+        has_found = sky.found or not state  # a scene that is still loading shows nothing
+        self._skyless_at = None if has_found or not self._is_full else place.position
+        if not sky.found and present is not None and present.found:
+            sky = present
+        if not has_found and not sky.found and scene.name != self._skyless:
             self._skyless = scene.name
             logger.info("The scene shows no sky: drops take the color of an overcast one")
-        self._sampled, self.is_exact, self._progress = state, self._is_full, None
+        self._sampled, self.is_exact, self._progress = state, self._is_full and has_found, None
         return sky
 
 
