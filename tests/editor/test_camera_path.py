@@ -97,6 +97,18 @@ def test_the_drive_becomes_a_path_and_keyframes_snap_to_it(editor):
     assert abs(editor.viewport.path.quaternions_wxyz[2] @ drive.quaternions_wxyz[2]) == pytest.approx(1)
 
 
+@pytest.mark.parametrize("name", ["drive.json", "drive"])
+def test_the_path_of_the_drive_is_exported_in_axes_and_units_of_the_scene(editor, tmp_path, name):
+    drive = editor.viewport.path
+    editor.camera_path.export_path(tmp_path / name)
+    assert [each.name for each in tmp_path.iterdir()] == ["drive.json"]
+    editor.camera_path.import_path(tmp_path / "drive.json")
+    moved = editor.document.scene.path.positions  # y down, 0.25 m
+    np.testing.assert_allclose(moved[:, 1], -4 * drive.positions[:, 2], atol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(moved, axis=1), 4 * np.linalg.norm(drive.positions, axis=1), atol=1e-6)
+    np.testing.assert_allclose(editor.viewport.path.positions, drive.positions, atol=1e-6)
+
+
 @pytest.mark.parametrize("form", ["keyframes", "nerfstudio", "training cameras"])
 def test_exports_read_back_or_are_reported(editor, tmp_path, form):
     path = four_keys(editor)

@@ -71,6 +71,12 @@ def test_smooth_goes_through_its_keys_and_never_beyond_its_neighbours(pairs, at)
     assert min(near) - 1e-9 <= weather.rain_at(RainSettings(), at).intensity_mm_h <= max(near) + 1e-9
 
 
+def test_a_shower_rises_and_falls_as_the_squared_sine_of_its_time():
+    keys = shower_keyframes(10.0, duration_s=40.0, peak_mm_h=8.0, steps=4).keys
+    assert [(key.time_s, key.intensity_mm_h) for key in keys] == [(10, 0), (20, 4), (30, 8), (40, 4), (50, 0)]
+    assert [key.intensity_mm_h for key in shower_keyframes().keys] == [0, 3, 9, 12, 9, 3, 0]
+
+
 def test_weather_is_plain_values_and_comes_back():
     weather = shower_keyframes(5.0).with_key(3.0, wind_m_s=(1.0, -2.0), exposure_s=0.002)
     values = msgspec.json.decode(msgspec.json.encode(msgspec.to_builtins(weather)))

@@ -107,6 +107,18 @@ def test_a_transparent_background_is_that_of_the_file(tmp_path):
     assert len(frames) == 2 and alpha[0].max() < 60 and alpha[-1].min() > 200
 
 
+def test_what_a_cut_out_lacks_is_the_light_of_the_medium_behind_it():
+    scene, camera = balls([(1, 0, 0)], distance=4.0), camera_along([1, 0, 0], 96, 64)
+    rain = RainSettings(intensity_mm_h=25.0, drop_color=(0.2, 0.4, 0.6))
+    whole, cut_out = (
+        next(film_frames(CpuRenderer(), ExportSettings(output="a.exr", transparent=each), scene, rain, camera)).rgba
+        for each in (False, True)
+    )
+    behind = whole[..., 3:] - cut_out[..., 3:]
+    assert behind.min() > -1e-6 and behind.max() > 0.02 and cut_out[..., 3].max() > 0.8
+    np.testing.assert_allclose(whole[..., :3], cut_out[..., :3] + behind * rain.drop_color, atol=2e-3)
+
+
 def test_a_cut_out_has_no_dark_fringe_before_the_ground():
     scene, camera = replace(balls([(1, 0, 0)], distance=1.0), ground_m=0.0), camera_along([1, 0, -0.3], 96, 64)
     rgba = film(scene, camera, 12.0, transparent=True).to_rgba8()

@@ -31,6 +31,23 @@ def test_the_published_heading_gives_the_published_controls():
     assert rates[0] < -0.1 and rates[0] == pytest.approx(-rates[1], abs=1e-4)
 
 
+@pytest.mark.parametrize(("acceleration", "steer_rate"), [(0.0, 0.0), (0.8, 0.0), (0.0, 0.01), (-1.2, -0.02)])
+def test_first_inputs_are_those_that_drove_the_poses(acceleration, steer_rate):
+    """Poses of Euler steps at constant acceleration and growing curvature; both are fitted again."""
+    speeds = 20.0 + acceleration * DT * np.arange(12)
+    curvatures = 0.01 + steer_rate / WHEELBASE * DT * np.arange(12)
+    states = np.zeros((13, 5))
+    for k in range(12):
+        yaw = states[k, 2]
+        states[k + 1, :2] = states[k, :2] + DT * speeds[k] * np.array([np.cos(yaw), np.sin(yaw)])
+        states[k + 1, 2] = yaw + DT * speeds[k] * curvatures[k]
+    inputs = controllers.first_inputs(states, 20.0, np.arctan(WHEELBASE * 0.01), WHEELBASE, DT)
+    np.testing.assert_allclose(inputs[:, 0], acceleration, atol=0.01)
+    np.testing.assert_allclose(inputs[:, 1], steer_rate, atol=0.02 * abs(steer_rate) + 1e-4)
+    slower = controllers.first_inputs(states, 18.0, np.arctan(WHEELBASE * 0.01) - 0.1, WHEELBASE, DT)
+    np.testing.assert_allclose(slower[0] - inputs[0], (0.5 * 2.0, 0.05 * 0.1), rtol=1e-6)
+
+
 def test_left_and_right_are_mirrored_and_a_straight_drive_is_left_alone():
     left, right = (
         tracker().control(CAR, VehicleState(0, 0, 0, 5.0, 0.1 * side), WIGGLE * (1, side), 0.5) for side in (1, -1)

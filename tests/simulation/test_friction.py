@@ -45,6 +45,14 @@ def test_tires_float_in_deep_water_as_on_runways_and_later_with_more_pressure():
     assert hydroplaning_speed_m_s(0.0) == np.inf
 
 
+@pytest.mark.parametrize(
+    ("film_mm", "mph"), [(0.254, 85.84), (1.0, 60.19), (2.39, 48.03), (2.54, 47.77), (8.0, 45.31), (25.4, 43.00)]
+)
+def test_tires_of_the_equation_float_at_its_speeds(film_mm, mph):
+    """Gallaway's equation by hand, in inches and mph, at the 165 kPa of its tires."""
+    assert hydroplaning_speed_m_s(film_mm, 165) / KM_H / 1.609344 == pytest.approx(mph, rel=1e-3)
+
+
 ROAD = Scene("road", ego=track([0.0, 50.0], [(0, 0, 1.5), (1500, 0, 1.5)]), ground_m=0.0)
 
 

@@ -15,8 +15,9 @@ from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from gsrain_engine.scene.gaussians import SH_C0, Gaussians
 from gsrain_engine.scene.ground_water import GroundWater, ground_membership
+from gsrain_engine.scene.lamps import LitLamps
 from gsrain_engine.scene.scene import Actor, Layer, PoseTrack, Scene
-from gsrain_engine.water.leveled_ground import leveled_view
+from gsrain_engine.water.leveled_ground import LeveledView, leveled_lamps, leveled_view
 
 ALONG, ACROSS = 0.06, -0.03
 ASPHALT, GRASS = (0.3, 0.3, 0.31), (0.25, 0.4, 0.1)
@@ -118,6 +119,25 @@ def test_reflections_of_objects_on_a_slope_touch_them(moves):
     x, y, z = (camera.world_to_camera @ np.append(at - (0, 0, 2.4), 1.0))[:3]
     expected = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
     assert red[row, column] > 0.02 and np.hypot(column + 0.5 - expected[0], row + 0.5 - expected[1]) < 3
+
+
+def test_lamps_over_a_slope_are_where_and_as_the_camera_sees_them():
+    eye = np.array([0.0, 0.0, height(0, 0) + 1.5])
+    camera = Camera.from_fov(192, 120, 50.0, look_at(eye, eye + np.array([1.0, 0, ALONG]), np.array([0.0, 0, 1])))
+    view = leveled_view(camera, slope_map(), 0.0)
+    lamps = LitLamps(
+        np.array([[10.0, 2, 5], [4.0, -3, 1]]), np.array([[0.0, 0, -1], [0.6, 0, 0.8]]), np.ones((2, 3)),
+        np.array([0.9, 0.8]), np.array([0.5, 0.4]),
+    )  # fmt: skip
+    leveled = leveled_lamps(lamps, view)
+    for before, after, last in ((lamps.positions_m, leveled.positions_m, 1), (lamps.directions, leveled.directions, 0)):
+        before, after = (np.column_stack([each, np.full(2, last)]) for each in (before, after))
+        assert np.abs(after - before).max() > 0.01  # turned
+        expected = before @ camera.world_to_camera.T
+        np.testing.assert_allclose(after @ view.camera.world_to_camera.T, expected, atol=1e-9)
+    for name in ("intensities", "cos_inner", "cos_outer"):
+        assert getattr(leveled, name) is getattr(lamps, name)
+    assert leveled_lamps(lamps, LeveledView(camera, 0.0)) is lamps and leveled_lamps(None, view) is None
 
 
 def test_scattered_gaussians_of_the_ground_hold_water_but_not_the_wheels_of_an_actor():
