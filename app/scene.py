@@ -21,6 +21,7 @@ from gsrain_engine.editor.edits.actors import drive_along, drive_along_own_path
 from gsrain_engine.editor.edits.level import UNIT_M, Axis, level_from_ground, oriented, set_camera_height
 from gsrain_engine.editor.viewport.camera import find_scene_core
 from gsrain_engine.render.images import write_image
+from gsrain_engine.safe_io.file_kinds import find_file_kind
 from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.camera_path_edit import WALKING_M_S, with_constant_speed
 from gsrain_engine.scene.camera_path_io import read_camera_path
@@ -109,6 +110,7 @@ def info(
     """Print what a scene holds (counts, bounds, harmonics, memory) or a capture (cameras, lidar, boxes, problems).
 
     Of a disdrometer file: instrument, records, drops, rain, rejected records with reasons, and agreement of its rates.
+    Of any other file, such as a camera path or a checkpoint: its kind, by its content, and what to do with it.
     """
     check_image("--overlay", overlay)
     check_writable(overlay, json)
@@ -124,6 +126,9 @@ def info(
     elif not is_scene and inner is None and path.is_dir():
         found = "neither a scene (scene.json, meta.json of SOG, or scene.pth of HUGSIM) nor a capture that is known"
         raise ValueError(f"{scene}: {found}{capture_hint(path)}")
+    elif columns is None and not is_scene and (kind := find_file_kind(path)) is not None and kind.is_used:
+        print(f"{scene}: {kind.words}")
+        numbers = {"kind": kind.words}
     elif columns is not None or (not is_scene and path.is_file()):
         numbers = disdrometer_info(path, columns)
     else:

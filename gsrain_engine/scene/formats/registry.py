@@ -13,7 +13,7 @@ from typing import TypeVar
 import numpy as np
 
 from ...plugins import SCENE_FORMATS, Extension, ExtensionError, find_extensions
-from ...safe_io.limits import kind_of_file
+from ...safe_io.file_kinds import kind_of_file
 from ..files import SceneFormatError, whole_file
 from ..gaussians import Gaussians
 from ..scene import Scene
@@ -101,7 +101,7 @@ def writable_suffixes() -> tuple[str, ...]:
 
 def unknown_format(path: Path) -> str:
     """Error text for the name of a file of no known format, without that name."""
-    return f"no known scene format: the name must end in {_listed(scene_suffixes())}{_slip(path) or _instead(path)}"
+    return f"no known scene format: the name must end in {_listed(scene_suffixes())}{_instead(path) or _slip(path)}"
 
 
 def read_gaussians(path: Path) -> Gaussians:
