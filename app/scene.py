@@ -148,6 +148,8 @@ def _scene_info(scene: str) -> dict[str, Any]:
         "metres_per_unit": opened.metres_per_unit,
         "metres_per_unit_is_assumed": opened.unit_is_assumed,
         "up": list(opened.up),
+        "up_is_assumed": opened.up_is_assumed,
+        "origin": list(opened.origin),
         "rigs": {name: [camera.name for camera in cameras] for name, cameras in opened.rigs.items()},
         "members": rows,
         **_extent(opened),
@@ -189,9 +191,12 @@ def _print(scene: Scene, numbers: dict[str, Any]) -> None:
     flags = flagged_text({kind: numbers[kind] for kind in ("deleted", "hidden")})
     size = f"{numbers['memory_bytes'] / 2**20:.1f} MiB"
     console.print(f"{scene.name}: {numbers['gaussians']:,} Gaussians{flags}, {size}")
-    assumed = " (assumed)" if scene.unit_is_assumed else ""
-    up = ", ".join(f"{v + 0.0:g}" for v in scene.up)  # avoids -0
-    console.print(f"1 unit = {scene.metres_per_unit:g} m{assumed}, up = ({up})")
+    unit, up = (" (assumed)" * is_assumed for is_assumed in (scene.unit_is_assumed, scene.up_is_assumed))
+    direction = ", ".join(f"{v + 0.0:g}" for v in scene.up)  # avoids -0
+    console.print(f"1 unit = {scene.metres_per_unit:g} m{unit}, up = ({direction}){up}")
+    if any(scene.origin):
+        place = ", ".join(f"{v:.10g}" for v in scene.origin)
+        console.print(f"its origin is ({place}) of the file's coordinates; positions are relative to it")
     corners = zip("xyz", numbers["core_m"]["minimum"], numbers["core_m"]["maximum"], strict=True)
     ranges = ", ".join(f"{axis} {low + 0.0:.4g} to {high + 0.0:.4g}" for axis, low, high in corners)
     console.print(f"most of it lies at {ranges} m in the world (z up); below, each in its own units and axes")
@@ -418,7 +423,7 @@ def convert(
 
 def _driven(scene: Scene, drive: str, speed: float | None) -> Scene:
     """Let an ego vehicle drive along a path, at its own times, or at the given or assumed speed."""
-    path = scene.path if drive == "own" else read_camera_path(drive, scene.scene_to_world)
+    path = scene.path if drive == "own" else read_camera_path(drive, scene)
     if path is None:
         return drive_along_own_path(scene)  # raises the reason
     timing = timed_path(path, speed, scene.metres_per_unit)

@@ -368,7 +368,7 @@ _MAX_BYTES = 1 << 28  # an hour's path with a keyframe for each of 30 frames per
 def read_json(path: Path | str) -> Any:
     """Read a JSON file or pipe; `SceneFormatError` if it is missing, invalid, too deeply nested or too large."""
     try:
-        return json.loads(read_input(path, _MAX_BYTES).decode("utf-8"))
+        return json.loads(read_input(path, _MAX_BYTES).decode("utf-8-sig"))
     except OSError as error:
         raise SceneFormatError(path, f"can't be read: {error.strerror}") from None
     except (ValueError, RecursionError) as error:  # also invalid UTF-8, and integers of thousands of digits
