@@ -417,13 +417,13 @@ def viewpoint_of(
         raise ValueError("--camera and --camera-path exclude each other")
     width, height = export.size_px or DEFAULT_SIZE_PX
     if camera is not None and camera.suffix.lower() in GLTF:
-        path = read_camera_path(camera, scene.scene_to_world).moved(scene.scene_to_world)
+        path = read_camera_path(camera, scene).moved(scene.scene_to_world)
         return path.camera(path.start_s, width, height)
     if camera is not None:
         read = read_camera(camera)
         return (read.resized(width, height) if export.size_px else read).moved(scene.scene_to_world)
     if camera_path is not None:
-        return read_camera_path(camera_path, scene.scene_to_world).moved(scene.scene_to_world)
+        return read_camera_path(camera_path, scene).moved(scene.scene_to_world)
     if scene.path is not None or not export.is_still or front_camera(scene) is not None:
         return own_path(scene, width, height)
     return home_camera(scene, width, height)

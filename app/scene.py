@@ -21,6 +21,7 @@ from gsrain_engine.editor.edits.actors import drive_along, drive_along_own_path
 from gsrain_engine.editor.edits.level import UNIT_M, Axis, level_from_ground, oriented, set_camera_height
 from gsrain_engine.editor.viewport.camera import find_scene_core
 from gsrain_engine.render.images import write_image
+from gsrain_engine.safe_io.file_kinds import find_file_kind
 from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.camera_path_edit import WALKING_M_S, with_constant_speed
 from gsrain_engine.scene.camera_path_io import read_camera_path
@@ -109,6 +110,7 @@ def info(
     """Print what a scene holds (counts, bounds, harmonics, memory) or a capture (cameras, lidar, boxes, problems).
 
     Of a disdrometer file: instrument, records, drops, rain, rejected records with reasons, and agreement of its rates.
+    Of any other file, such as a camera path or a checkpoint: its kind, by its content, and what to do with it.
     """
     check_image("--overlay", overlay)
     check_writable(overlay, json)
@@ -124,6 +126,9 @@ def info(
     elif not is_scene and inner is None and path.is_dir():
         found = "neither a scene (scene.json, meta.json of SOG, or scene.pth of HUGSIM) nor a capture that is known"
         raise ValueError(f"{scene}: {found}{capture_hint(path)}")
+    elif columns is None and not is_scene and (kind := find_file_kind(path)) is not None and kind.is_used:
+        print(f"{scene}: {kind.words}")
+        numbers = {"kind": kind.words}
     elif columns is not None or (not is_scene and path.is_file()):
         numbers = disdrometer_info(path, columns)
     else:
@@ -143,6 +148,8 @@ def _scene_info(scene: str) -> dict[str, Any]:
         "metres_per_unit": opened.metres_per_unit,
         "metres_per_unit_is_assumed": opened.unit_is_assumed,
         "up": list(opened.up),
+        "up_is_assumed": opened.up_is_assumed,
+        "origin": list(opened.origin),
         "rigs": {name: [camera.name for camera in cameras] for name, cameras in opened.rigs.items()},
         "members": rows,
         **_extent(opened),
@@ -184,9 +191,12 @@ def _print(scene: Scene, numbers: dict[str, Any]) -> None:
     flags = flagged_text({kind: numbers[kind] for kind in ("deleted", "hidden")})
     size = f"{numbers['memory_bytes'] / 2**20:.1f} MiB"
     console.print(f"{scene.name}: {numbers['gaussians']:,} Gaussians{flags}, {size}")
-    assumed = " (assumed)" if scene.unit_is_assumed else ""
-    up = ", ".join(f"{v + 0.0:g}" for v in scene.up)  # avoids -0
-    console.print(f"1 unit = {scene.metres_per_unit:g} m{assumed}, up = ({up})")
+    unit, up = (" (assumed)" * is_assumed for is_assumed in (scene.unit_is_assumed, scene.up_is_assumed))
+    direction = ", ".join(f"{v + 0.0:g}" for v in scene.up)  # avoids -0
+    console.print(f"1 unit = {scene.metres_per_unit:g} m{unit}, up = ({direction}){up}")
+    if any(scene.origin):
+        place = ", ".join(f"{v:.10g}" for v in scene.origin)
+        console.print(f"its origin is ({place}) of the file's coordinates; positions are relative to it")
     corners = zip("xyz", numbers["core_m"]["minimum"], numbers["core_m"]["maximum"], strict=True)
     ranges = ", ".join(f"{axis} {low + 0.0:.4g} to {high + 0.0:.4g}" for axis, low, high in corners)
     console.print(f"most of it lies at {ranges} m in the world (z up); below, each in its own units and axes")
@@ -413,7 +423,7 @@ def convert(
 
 def _driven(scene: Scene, drive: str, speed: float | None) -> Scene:
     """Let an ego vehicle drive along a path, at its own times, or at the given or assumed speed."""
-    path = scene.path if drive == "own" else read_camera_path(drive, scene.scene_to_world)
+    path = scene.path if drive == "own" else read_camera_path(drive, scene)
     if path is None:
         return drive_along_own_path(scene)  # raises the reason
     timing = timed_path(path, speed, scene.metres_per_unit)

@@ -209,7 +209,7 @@ class CameraPath(camera_path.CameraPath):
 
         Raises `SceneFormatError` when it can't be read.
         """
-        return cls._of(read_camera_path(Path(path), scene.scene_to_world).moved(scene.scene_to_world))
+        return cls._of(read_camera_path(Path(path), scene).moved(scene.scene_to_world))
 
     def save(self, path: Path | str, scene: Scene) -> None:
         """Write the path as JSON, in a scene's own units and axes, as `gsrain render --camera-path` reads it."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ..plugins import CAPTURE_FORMATS, Extension, load_extensions, warn_once
-from ..safe_io.limits import kind_of_file
+from ..safe_io.file_kinds import kind_of_file
 from ..scene.files import visible_siblings
 from ..scene.formats.registry import format_of
 from .bags.containers import recognizes_bag

@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ..plugins import DISDROMETERS, ExtensionError, load_extensions
-from ..safe_io.limits import TooLargeError, kind_of_bytes, read_file
+from ..safe_io.file_kinds import kind_of_bytes
+from ..safe_io.limits import TooLargeError, read_file
 from .hdf5_trial import HDF5, NETCDF_CLASSIC
 from .instruments import CLASSES
 from .parsivel import (
@@ -94,7 +95,7 @@ def is_class_mask(lines: list[str]) -> bool:
 def _unknown_kind(contents: "FileContents", where: str) -> UnknownKindError:
     """Error with the file's actual kind if its first bytes identify one, otherwise with the readable kinds."""
     path = contents.path
-    kind = kind_of_bytes(contents.data, path.suffix.lower())
+    kind = kind_of_bytes(contents.data, path.name)
     return UnknownKindError(path, f"{where}: not a disdrometer file of a kind that is known", kind)
 
 

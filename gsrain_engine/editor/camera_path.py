@@ -5,6 +5,7 @@ Keyframes are given by index.
 
 import logging
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -221,7 +222,7 @@ class CameraPathEditor:
     def import_path(self, file: Path) -> None:
         """Import a camera path; an error is reported, and the present path stays."""
         try:
-            path = read_camera_path(file, self._document.scene.scene_to_world)
+            path = read_camera_path(file, self._document.scene)
         except SceneFormatError as error:
             self._status.report(error)
             return
@@ -245,7 +246,8 @@ class CameraPathEditor:
                 write_camera_path(file, path)
             else:
                 write = write_nerfstudio_path if form == "nerfstudio" else write_training_cameras
-                write(file, path, self._playback.timeline.fps)
+                origin = np.array(self._document.scene.origin)  # other programs know the coordinates of the file
+                write(file, replace(path, positions=path.positions + origin), self._playback.timeline.fps)
         except OSError as error:
             self._status.report(f"{file}: the camera path can't be written: {error.strerror or error}")
         else:

@@ -1,4 +1,4 @@
-"""Limits on untrusted input (kind of file, bytes, expansion, time) for files, pipes, devices and sockets."""
+"""Limits on untrusted input (bytes, expansion, time) for files, pipes, devices and sockets."""
 
 import errno
 import hashlib
@@ -18,7 +18,7 @@ from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from io import BufferedReader
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, Any, BinaryIO, NoReturn
 
 import lazy_loader
 
@@ -32,84 +32,6 @@ except ImportError:  # Windows
 
 psutil: Any = lazy_loader.load("psutil")  # every command imports this module
 ssl: Any = lazy_loader.load("ssl")
-
-_HEAD_BYTES = 512  # the magic of a tar archive is at byte 257
-
-
-class _FileKind(NamedTuple):
-    words: str
-    """The kind, and advice for such a file."""
-    starts: tuple[bytes, ...] = ()
-    """Alternative magic bytes, in lower case."""
-    at: int = 0
-    """Byte offset of the magic."""
-    suffixes: tuple[str, ...] = ()
-    """Usual suffixes of the kind. A kind without magic bytes is recognized by them alone."""
-
-
-_IMAGE = "a picture: give the folder that it is in"
-_ARCHIVE = "an archive: unpack it, and give what was in it"
-_VIDEO = "a video: write its frames into a folder (ffmpeg -i VIDEO FOLDER/%05d.jpg), and give that"
-_MESH = "a mesh or a point cloud, no Gaussians"
-_HEIC = "an HEIC or AVIF picture: convert it to JPEG or PNG"
-
-_KINDS = (
-    _FileKind("a bag of ROS 1: rosbags-convert turns it into one of ROS 2", (b"#rosbag v",), suffixes=(".bag",)),
-    _FileKind("the list of a ROS 2 bag's files: give its folder", (b"rosbag2_bagfile_information",)),
-    _FileKind(
-        "a pointer of Git LFS, not the file itself: run git lfs pull where it was cloned", (b"version https://git-lfs",)
-    ),
-    _FileKind("a web page, not the file: the download went wrong", (b"<!doctype html", b"<html")),
-    _FileKind("a file of arrays", suffixes=(".npz", ".npy")),
-    _FileKind(_ARCHIVE, (b"pk\x03\x04", b"pk\x05\x06"), suffixes=(".sog", ".usdz")),
-    _FileKind(_ARCHIVE, (b"7z\xbc\xaf\x27\x1c", b"rar!\x1a")),
-    _FileKind(_ARCHIVE, (b"ustar",), at=257),
-    _FileKind(_ARCHIVE, (b"\x1f\x8b",), suffixes=(".spz",)),
-    _FileKind(_IMAGE, (b"\xff\xd8\xff",), suffixes=(".jpg", ".jpeg")),
-    _FileKind(_IMAGE, (b"\x89png\r\n",), suffixes=(".png",)),
-    _FileKind(_IMAGE, (b"gif87a", b"gif89a"), suffixes=(".gif",)),
-    _FileKind(_IMAGE, (b"ii*\0", b"mm\0*"), suffixes=(".tif", ".tiff")),
-    _FileKind(_IMAGE, (b"webpvp8",), at=8, suffixes=(".webp",)),
-    _FileKind(_HEIC, (b"ftyphei", b"ftyphev", b"ftypmif", b"ftypmsf", b"ftypavi"), at=4),
-    _FileKind(_VIDEO, (b"ftyp", b"moov", b"mdat"), at=4),
-    _FileKind(_VIDEO, (b"\x1a\x45\xdf\xa3",)),
-    _FileKind(_VIDEO, (b"avi list",), at=8),
-    _FileKind("a binary glTF file: a mesh, a point cloud or Gaussians", (b"gltf",), suffixes=(".glb",)),
-    _FileKind(_MESH, (b"kaydara fbx", b"lasf", b"# .pcd")),
-    _FileKind("a PLY file: a scene, a mesh or a point cloud", (b"ply\n", b"ply\r\n"), suffixes=(".ply",)),
-    _FileKind("a PDF", (b"%pdf-",)),
-    _FileKind("a table of a data set (Parquet): give the data set's folder", (b"par1",)),
-    _FileKind("a database, such as COLMAP's: give the folder with the model (sparse/0)", (b"sqlite format 3",)),
-    _FileKind(_MESH, suffixes=(".obj", ".stl", ".fbx", ".gltf", ".dae", ".las", ".laz", ".e57", ".pcd")),
-    _FileKind(_VIDEO, suffixes=(".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v")),
-)
-"""Kinds in order of precedence; magic bytes are compared in lower case."""
-
-
-def kind_of_file(path: Path, *, named_rightly: bool = False) -> str | None:
-    """Describe a file's actual kind ("an archive: unpack it, and give what was in it"), for the end of an error.
-
-    Returns None if no kind matches, if the file can't be opened, or, with `named_rightly`, if the kind matches the
-    suffix.
-    """
-    try:
-        with open_file(path) as file:
-            head = file.read(_HEAD_BYTES)
-    except OSError:
-        return None
-    return kind_of_bytes(head, path.suffix.lower(), named_rightly=named_rightly)
-
-
-def kind_of_bytes(head: bytes, suffix: str = "", *, named_rightly: bool = False) -> str | None:
-    """Describe the kind of a file by its first bytes and its lower-case suffix, as `kind_of_file` does."""
-    if not head:
-        return "an empty file"
-    head = head[:_HEAD_BYTES].lower().removeprefix(b"\xef\xbb\xbf")
-    for kind in _KINDS:
-        if head[kind.at :].startswith(kind.starts) if kind.starts else suffix in kind.suffixes:
-            return None if kind.starts and named_rightly and suffix in kind.suffixes else kind.words
-    return None
-
 
 # Deadlines and byte budgets
 # A file is opened without blocking and its kind is then checked on the descriptor: no other file can be swapped in

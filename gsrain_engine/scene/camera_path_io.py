@@ -1,8 +1,9 @@
-"""Camera path files: GSRAIN's JSON, nerfstudio's `camera_path.json`, `cameras.json` of 3DGS, cameras of glTF."""
+"""Camera path files: GSRAIN's JSON, paths and `transforms.json` of nerfstudio, `cameras.json` of 3DGS, glTF cameras."""
 
 import json
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -16,6 +17,7 @@ from .easing import KEY_EASINGS, Easing
 from .files import SceneFormatError, read_json, whole_file
 from .formats.gltf import GLTF, read_gltf_camera_path
 from .geometry import normalized, quaternions_from_matrices
+from .scene import Scene
 from .transforms import world_to_file
 
 VERSION = 3
@@ -26,28 +28,37 @@ version 1 or 2, for older readers.
 _NUMBERS = re.compile(r"([0-9]+)")
 
 
-def read_camera_path(path: Path | str, scene_to_world: Float64[np.ndarray, "4 4"] | None = None) -> CameraPath:
+def read_camera_path(path: Path | str, scene: Scene | None = None) -> CameraPath:
     """Read a camera path of any format, in the scene's own units and axes.
 
-    Those of JSON files are these. A camera of a `.glb` or `.gltf` is placed as in the `.glb` that the scene is written
-    to, in meters and y up: `scene_to_world` is that of the scene; None is that of files of Gaussians (1 m, -y up).
+    Those of JSON files are these; of other programs, relative to the origin of the coordinates that the scene came
+    from. A camera of a `.glb` or `.gltf` is placed as in the `.glb` that the scene is written to, in meters and y up.
+    Without a scene, it is one of a file of Gaussians (1 m, -y up).
     """
     if Path(path).suffix.lower() in GLTF:
         try:
             found = read_gltf_camera_path(Path(path))
         except OSError as error:
             raise SceneFormatError(path, f"can't be read: {error.strerror}") from None
-        return found if scene_to_world is None else found.moved(np.linalg.inv(world_to_file() @ scene_to_world))
+        if scene is None:
+            return found
+        to_scene = np.linalg.inv(world_to_file() @ scene.scene_to_world)
+        to_scene[:3, 3] -= scene.origin
+        return found.moved(to_scene)
     values = read_json(path)
     try:
         with np.errstate(all="ignore"):  # the path's own checks report overflow and division by 0
-            return _reader(values, path)(values)
+            reader = _reader(values, path)
+            found = reader(values)
     except SceneFormatError:
         raise
     except KeyError as error:
         raise SceneFormatError(path, f"a keyframe has no field {error.args[0]!r}") from None
     except (TypeError, ValueError, IndexError, AttributeError, ArithmeticError) as error:
         raise SceneFormatError(path, f"not a camera path: {error}") from None
+    if scene is None or not any(scene.origin) or reader is camera_path_of_plain:
+        return found
+    return replace(found, positions=found.positions - np.array(scene.origin))
 
 
 def write_camera_path(path: Path | str, camera_path: CameraPath) -> None:
@@ -71,15 +82,23 @@ def plain_camera_path(camera_path: CameraPath) -> dict[str, Any]:
 
 
 def _reader(values: Any, path: Path | str) -> Callable[[Any], CameraPath]:
-    if isinstance(values, dict) and "camera_path" in values:  # nerfstudio's files have keyframes too
-        return _nerfstudio
+    if isinstance(values, dict) and ("camera_path" in values or _is_nerfstudio_keyframe(values)):
+        return _nerfstudio  # its files have keyframes too
     if isinstance(values, dict) and "keyframes" in values:
         if values.get("version", VERSION) > VERSION:
             raise SceneFormatError(path, f"version {values['version']} is newer than {VERSION}, which this reads")
         return camera_path_of_plain
+    if isinstance(values, dict) and "frames" in values:
+        return _transforms
     if isinstance(values, list) and values:
         return _training_cameras
-    raise SceneFormatError(path, "expected keyframes, a nerfstudio camera_path, or a 3DGS list of cameras (or a .glb)")
+    told = "expected keyframes, a nerfstudio camera_path, frames of a transforms.json, or a 3DGS list of cameras"
+    raise SceneFormatError(path, f"{told} (or a .glb)")
+
+
+def _is_nerfstudio_keyframe(values: dict[str, Any]) -> bool:
+    keys = values.get("keyframes")
+    return isinstance(keys, list) and bool(keys) and isinstance(keys[0], dict) and "matrix" in keys[0]
 
 
 def camera_path_of_plain(values: dict[str, Any]) -> CameraPath:
@@ -110,13 +129,76 @@ def camera_path_of_plain(values: dict[str, Any]) -> CameraPath:
 
 
 def _nerfstudio(values: dict[str, Any]) -> CameraPath:
-    """nerfstudio: 4x4 camera-to-world with OpenGL axes (y up, z backward), row-major; fov is vertical, degrees."""
-    keys = values["camera_path"]
-    poses = np.array([key["camera_to_world"] for key in keys], np.float64).reshape(-1, 4, 4)
-    fov = np.array([key["fov"] for key in keys], np.float64)
-    seconds = values.get("seconds")
-    times = None if seconds is None else np.linspace(0, float(seconds), len(keys)) if len(keys) > 1 else np.zeros(1)
-    return _from_poses(times, poses[:, :3, :3] @ np.diag([1.0, -1.0, -1.0]), poses[:, :3, 3], fov)
+    """nerfstudio: 4x4 camera-to-world with OpenGL axes (y up, z backward), row-major; fov is vertical, degrees.
+
+    A file without the rendered `camera_path` has the keyframes of its viewer: their transitions last
+    `override_transition_sec` or `default_transition_sec`. Those of the older viewer are text, column-major.
+    """
+    _check_perspective("camera_type", values.get("camera_type", "perspective"))
+    seconds, keys = values.get("seconds"), values.get("camera_path") or []
+    if keys:
+        poses = np.array([key["camera_to_world"] for key in keys], np.float64).reshape(-1, 4, 4)
+        times = None if seconds is None else np.linspace(0, float(seconds), len(keys)) if len(keys) > 1 else np.zeros(1)
+    else:
+        keys = values.get("keyframes") or []
+        if not keys:
+            raise ValueError("it has neither frames in camera_path nor keyframes")
+        poses = np.array([_keyframe_matrix(key["matrix"]) for key in keys], np.float64).reshape(-1, 4, 4)
+        default = values.get("default_transition_sec")
+        if default is None and seconds is not None and len(keys) > 1:
+            default = float(seconds) / (len(keys) - 1)
+        # The last transition leads back to the first keyframe, in a cycle.
+        gaps = [_given(key.get("override_transition_sec"), default) for key in keys[:-1]]
+        times = None if any(gap is None for gap in gaps) else np.cumsum([0.0, *map(float, gaps)])
+    fov = np.array([_given(key.get("fov"), values.get("default_fov")) for key in keys], np.float64)
+    path = _from_poses(times, poses[:, :3, :3] @ np.diag([1.0, -1.0, -1.0]), poses[:, :3, 3], fov)
+    return replace(path, loop=bool(values.get("is_cycle"))) if not values.get("camera_path") else path
+
+
+def _given(value: Any, default: Any) -> Any:
+    return default if value is None else value
+
+
+def _keyframe_matrix(matrix: Any) -> Float64[np.ndarray, "4 4"]:
+    is_text = isinstance(matrix, str)
+    found = np.array(json.loads(matrix) if is_text else matrix, np.float64).reshape(4, 4)
+    return found.T if is_text else found
+
+
+_PERSPECTIVE = ("perspective", "pinhole", "simple_pinhole", "opencv", "radial", "simple_radial", "full_opencv")
+
+
+def _check_perspective(name: str, kind: Any) -> None:
+    if str(kind).lower() not in _PERSPECTIVE:
+        raise ValueError(f"{name} {kind!r} can't be flown, a perspective camera can")
+
+
+def _transforms(values: dict[str, Any]) -> CameraPath:
+    """`transforms.json` of nerfstudio and instant-ngp: camera-to-world with OpenGL axes; photos without times.
+
+    Intrinsics are those of a frame, else of the file; a file with only `camera_angle_x` has square pictures, as
+    those of NeRF's synthetic scenes. Sorted by name if all names differ.
+    """
+    frames: list[dict[str, Any]] = values["frames"]
+    if len({_in_order(frame, "file_path") for frame in frames} - {()}) == len(frames):
+        frames = sorted(frames, key=lambda frame: _in_order(frame, "file_path"))
+    for each in (values, *frames):
+        _check_perspective("camera_model", each.get("camera_model", "OPENCV"))
+    poses = np.array([frame["transform_matrix"] for frame in frames], np.float64)
+    if poses.shape[1:] not in ((4, 4), (3, 4)):
+        raise ValueError(f"a transform_matrix has 4 rows of 4 numbers, not {' x '.join(map(str, poses.shape[1:]))}")
+    fov = np.array([_vertical_fov_deg({**values, **frame}) for frame in frames], np.float64)
+    return _from_poses(None, poses[:, :3, :3] @ np.diag([1.0, -1.0, -1.0]), poses[:, :3, 3], fov)
+
+
+def _vertical_fov_deg(camera: dict[str, Any]) -> float:
+    if "fl_y" in camera or "fl_x" in camera:
+        focal = camera["fl_y"] if "fl_y" in camera else camera["fl_x"]
+        return float(np.degrees(2 * np.arctan(0.5 * camera["h"] / focal)))
+    if "camera_angle_y" in camera:
+        return float(np.degrees(camera["camera_angle_y"]))
+    aspect = camera["h"] / camera["w"] if "h" in camera and "w" in camera else 1.0
+    return float(np.degrees(2 * np.arctan(aspect * np.tan(0.5 * camera["camera_angle_x"]))))
 
 
 def _training_cameras(values: list[dict[str, Any]]) -> CameraPath:
@@ -124,17 +206,17 @@ def _training_cameras(values: list[dict[str, Any]]) -> CameraPath:
 
     Sorted by name if all names differ, frame_2 before frame_10: the file may list the test cameras first.
     """
-    if len({_in_order(key) for key in values} - {()}) == len(values):
-        values = sorted(values, key=_in_order)
+    if len({_in_order(key, "img_name") for key in values} - {()}) == len(values):
+        values = sorted(values, key=lambda key: _in_order(key, "img_name"))
     rotations = np.array([key["rotation"] for key in values], np.float64).reshape(-1, 3, 3)
     positions = np.array([key["position"] for key in values], np.float64).reshape(-1, 3)
     fov = [np.degrees(2 * np.arctan(0.5 * key["height"] / key["fy"])) for key in values]
     return _from_poses(None, rotations, positions, np.array(fov))
 
 
-def _in_order(camera: dict[str, Any]) -> tuple[tuple[bool, int, str], ...]:
+def _in_order(camera: dict[str, Any], field: str) -> tuple[tuple[bool, int, str], ...]:
     """Sort key of a training camera: its name with numbers as integers; empty without a name."""
-    parts = _NUMBERS.split(str(camera.get("img_name", "")))
+    parts = _NUMBERS.split(str(camera.get(field, "")))
     return tuple((part.isdecimal(), int(part) if part.isdecimal() else 0, part) for part in parts if part)
 
 

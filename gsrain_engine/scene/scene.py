@@ -511,6 +511,13 @@ class Scene:
     """Water on the ground, which mirrors the scene; None without a map of it."""
     unit_is_assumed: bool = False
     """True if neither a file nor the user has set the length of a unit, so that it is assumed to be a meter."""
+    up_is_assumed: bool = False
+    """True if neither a file nor the user has set the upward direction, so that it is assumed to be that of COLMAP."""
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Place of the scene's origin in the coordinates of the files that it came from, in its units and axes.
+
+    32-bit floats hold no details of places such as those of UTM, so positions are relative to this one.
+    """
 
     def __repr__(self) -> str:
         counts = f"{len(self.layers)} layers, {len(self.actors)} actors, {self.gaussian_count:,} Gaussians"

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float32, Float64
+from jaxtyping import Float, Float32, Float64
 
 from .gaussians import Gaussians, rotate_sh
 from .geometry import quaternion_product, quaternions_from_matrices
@@ -32,6 +32,71 @@ def transform_gaussians(gaussians: Gaussians, similarity: Float64[np.ndarray, "4
         quaternions=quaternions.astype(np.float32),
         sh=rotate_sh(gaussians.sh, rotation),
     )
+
+
+def moved_gaussians(gaussians: Gaussians, offset: Float64[np.ndarray, "3"]) -> Gaussians:
+    """Translate Gaussians; those that stay are the identical object."""
+    if not offset.any():
+        return gaussians
+    return replace(gaussians, means=(gaussians.means.astype(np.float64) + offset).astype(np.float32))
+
+
+# Scenes far from the origin of their coordinates
+
+_FAR = 1 << 14
+"""Units from which on 32-bit floats are coarser than a thousandth of a unit."""
+
+_FARTHEST = 1e12  # units; larger numbers come from damaged files
+_SAMPLES = 100_000
+_FAR_EXTENTS = 4.0  # times the extent of a scene that is far out, not just large or in small units
+
+
+def far_place(positions: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, "3"]:
+    """Place in whole units in the middle of positions that are far from the origin, such as in UTM; else 0."""
+    finite = positions[np.isfinite(positions).all(axis=1)]
+    if not len(finite):
+        return np.zeros(3)
+    middle = np.median(finite[:: -(-len(finite) // _SAMPLES)].astype(np.float64), axis=0)
+    return np.round(middle) if _FAR <= np.abs(middle).max() < _FARTHEST else np.zeros(3)
+
+
+def recentered(scene: Scene) -> Scene:
+    """Scene of a file with its origin moved to its middle, if that is farther out than 32-bit floats hold details.
+
+    Layers, tracks and the ego vehicle move along, and `Scene.origin` has the place. Other scenes are unchanged.
+    """
+    centers = [np.zeros((0, 3))]
+    for layer in scene.layers:
+        means = layer.gaussians.means[:: -(-len(layer.gaussians) // _SAMPLES) or 1].astype(np.float64)
+        centers.append(means @ layer.to_scene[:3, :3].T + layer.to_scene[:3, 3])
+    positions = np.concatenate(centers)
+    place = far_place(positions)
+    extent = np.median(np.abs(positions - place), axis=0).max() if len(positions) else 0.0
+    if np.abs(place).max() <= _FAR_EXTENTS * extent:
+        return scene
+    back = np.eye(4)
+    back[:3, 3] = -place
+    layers: list[Layer] = []
+    for layer in scene.layers:
+        gaussians, to_scene = layer.gaussians, back @ layer.to_scene
+        if np.array_equal(to_scene[:3, :3], np.eye(3)):
+            gaussians, to_scene = moved_gaussians(gaussians, to_scene[:3, 3]), np.eye(4)
+        layers.append(replace(layer, gaussians=gaussians, to_scene=to_scene))
+    x, y, z = (np.array(scene.origin) + place).tolist()
+    return replace(
+        scene,
+        layers=tuple(layers),
+        actors=tuple(replace(each, track=each.track.moved(back)) for each in scene.actors),
+        ego=scene.ego and scene.ego.moved(back),
+        path=scene.path and scene.path.moved(back),
+        origin=(x, y, z),
+    )
+
+
+def origin_in_file(scene: Scene) -> tuple[float, float, float]:
+    """Place of the scene's origin in the frame of single-file scenes, in meters."""
+    x, y, z = (world_to_file()[:3, :3] @ scene.scene_to_world[:3, :3] @ np.array(scene.origin)).tolist()
+    return x + 0.0, y + 0.0, z + 0.0  # no -0
 
 
 def flatten_scene(scene: Scene, time_s: float = 0.0) -> Gaussians:
@@ -81,8 +146,17 @@ def lost_when_flattened(scene: Scene, time_s: float = 0.0) -> list[str]:
         _counted(len(scene.lamps), "lamp"): bool(scene.lamps),
         "the map of water": scene.water is not None,
         _counted(len(scene.selections), "selection set"): bool(scene.selections),
+        _FAR_PLACE: any(scene.origin),
     }
     return [phrase for phrase, is_there in found.items() if is_there]
+
+
+_FAR_PLACE = "the place of the scene's origin in its coordinates"
+
+
+def lost_far_out(lost: list[str]) -> list[str]:
+    """Phrases of `lost_when_flattened` without that of the origin, for formats that keep it."""
+    return [phrase for phrase in lost if phrase != _FAR_PLACE]
 
 
 def _counted(count: int, one: str, several: str = "") -> str:

@@ -14,17 +14,19 @@ from gsrain_engine.datasets.capture import CaptureError
 from gsrain_engine.datasets.io.images import image_size, read_color
 from gsrain_engine.disdrometer.open import read_disdrometer
 from gsrain_engine.disdrometer.spectra import UnknownKindError
-from gsrain_engine.safe_io.limits import kind_of_bytes, kind_of_file
+from gsrain_engine.safe_io.file_kinds import kind_of_bytes, kind_of_file
 from gsrain_engine.scene.files import SceneFormatError
 from gsrain_engine.scene.formats.scene_files import read_scene
 
 POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a2146\nsize 12345\n"
 ARCHIVE, PICTURE, LFS, VIDEO = "it is an archive", "it is a picture", "it is a pointer of Git LFS", "it is a video"
+CHECKPOINT = "it is a checkpoint of a training: export its Gaussians as a PLY"
 
 
-def zipped(file: Path) -> Path:
+def zipped(file: Path, *names: str) -> Path:
     with zipfile.ZipFile(file, "w") as archive:
-        archive.writestr("scene.splat", bytes(64))
+        for name in names or ("scene.splat",):
+            archive.writestr(name, bytes(64))
     return file
 
 
@@ -49,7 +51,47 @@ FILES = {
     "old.bag": (lambda file: written(file, b"#ROSBAG V2.0\n" + bytes(50)), "it is a bag of ROS 1: rosbags-convert"),
     "metadata.yaml": (lambda file: written(file, b"rosbag2_bagfile_information:\n"), "give its folder"),
     "a.parquet": (lambda file: written(file, b"PAR1" + bytes(50)), "it is a table of a data set"),
+    "ckpt_29999_rank0.pt": (lambda file: zipped(file, "ckpt_29999_rank0/data.pkl"), CHECKPOINT),
+    "step-000029999.ckpt": (lambda file: zipped(file, "archive/data.pkl"), CHECKPOINT),
+    "renamed.zip": (lambda file: zipped(file, "archive/data.pkl"), CHECKPOINT),
+    "chkpnt30000.pth": (lambda file: written(file, b"\x80\x02}q\0."), "it is a Python pickle"),
+    "scene.pth": (lambda file: zipped(file, "archive/data.pkl"), "give its folder"),
+    "renamed_sog.zip": (lambda file: zipped(file, "meta.json", "means_l.webp"), "name it .sog"),
+    "renamed_spz.gz": (lambda file: written(file, b"NGSP\4\0\0\0" + bytes(24)), "name it .spz"),
+    "a.ssproj": (lambda file: zipped(file, "document.json", "splat_0.ply"), "it is a project of SuperSplat"),
+    "meta.lcc": (lambda file: written(file, b'{"version": "5.0", "totalSplats": 9, "encoding": "COMPRESS"}'), "LCC"),
+    "tileset.json": (lambda file: written(file, b'{"asset": {}, "geometricError": 9, "root": {}}'), "3D Tiles"),
+    "dataparser_transforms.json": (lambda file: written(file, b'{"transform": [[1]], "scale": 0.1}'), "ns-export"),
+    "cfg_args": (lambda file: written(file, b"Namespace(sh_degree=3, source_path='a')"), "iteration_N"),
+    "images.txt": (lambda file: written(file, b"# Image list with two lines of data per image:\n"), "COLMAP"),
+    "cameras.bin": (lambda file: written(file, bytes(80)), "COLMAP"),
+    "town.xodr": (lambda file: written(file, b"\xef\xbb\xbf<?xml?>\n<OpenDRIVE>"), "it is a map of roads"),
+    "stage.usda": (lambda file: written(file, b"#usda 1.0\n"), "usdzip"),
+    "a.safetensors": (lambda file: written(file, bytes(80)), "safetensors"),
 }
+"""Content, and a part of what a file is called."""
+
+CAMERA_PATH, CAMERA = "gsrain render SCENE --camera-path FILE", "gsrain render SCENE --camera FILE"
+USED = {
+    "cameras.json": (b'[{"id": 0, "img_name": "a", "rotation": [[1]], "fy": 9.0}]', CAMERA_PATH),
+    "renamed_transforms.json": (b'\n {"camera_angle_x": 1.0, "frames": [{"transform_matrix": [[1]]}]}', CAMERA_PATH),
+    "nerfstudio.json": (b'{"camera_type": "perspective", "keyframes": [], "camera_path": []}', CAMERA_PATH),
+    "own.json": (b'{"version": 1, "keyframes": [{"time_s": 0, "quaternion_wxyz": [1]}]}', CAMERA_PATH),
+    "view.json": (b'{"width": 9, "world_to_camera": [[1]]}', CAMERA),
+    "yolo.onnx": (b"\x08\x07\x12\x07pytorch", "gsrain evaluate detection --detector FILE"),
+    "cut_in.xosc": (b'<?xml version="1.0"?>\n<OpenSCENARIO>', "gsrain drive FILE"),
+}
+"""Content of files that a command takes, and that command."""
+
+
+@pytest.mark.parametrize("name", USED)
+def test_info_names_the_command_that_takes_a_file(
+    tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data, command = USED[name]
+    assert run(["info", str(written(tmp_path / name, data))]) == 0
+    printed = capsys.readouterr().out
+    assert name in printed and command in " ".join(printed.split())
 
 
 @pytest.mark.parametrize("name", FILES)

@@ -267,6 +267,94 @@ def test_axes_of_nerfstudio_are_those_of_opengl(tmp_path: Path) -> None:
         same_view(found.camera(0.0, 600, 400), Camera.from_fov(600, 400, 50.0, np.linalg.inv(pose)))
 
 
+OPENGL = np.diag([1.0, -1, -1, 1])
+
+
+def viewer_keys(count: int = 3, **more: Any) -> tuple[list[Camera], list[dict[str, Any]]]:
+    """Cameras, and the keyframes that nerfstudio's viewer saves for them."""
+    path = path_of(count)
+    cameras = [path.camera(t, 600, 400) for t in path.times_s.tolist()]
+    matrices = [(camera.camera_to_world @ OPENGL).ravel().tolist() for camera in cameras]
+    return cameras, [
+        {"matrix": matrix, "fov": camera.vertical_fov_deg, "aspect": 1.5, **more}
+        for camera, matrix in zip(cameras, matrices, strict=True)
+    ]
+
+
+def test_keyframes_of_nerfstudios_viewer_are_a_path(tmp_path: Path) -> None:
+    cameras, keys = viewer_keys(override_transition_sec=None)
+    keys[1]["override_transition_sec"] = 5.0
+    file = tmp_path / "a.json"
+    file.write_text(json.dumps({"keyframes": keys, "camera_path": [], "default_transition_sec": 2.0}))
+    path = read_camera_path(file)
+    assert path.times_s.tolist() == [0, 2, 7] and path.is_timed
+    for time_s, camera in zip(path.times_s.tolist(), cameras, strict=True):
+        same_view(path.camera(time_s, 600, 400), camera)
+    for key in keys:  # as text, column by column, in files of 2022
+        key["matrix"] = json.dumps(np.array(key["matrix"]).reshape(4, 4).T.ravel().tolist())
+        del key["override_transition_sec"]
+    file.write_text(json.dumps({"keyframes": keys, "seconds": 6, "is_cycle": True}))
+    path = read_camera_path(file)
+    assert path.times_s.tolist() == [0, 3, 6] and path.loop
+    for time_s, camera in zip(path.times_s.tolist(), cameras, strict=True):
+        same_view(path.camera(time_s, 600, 400), camera)
+
+
+@pytest.mark.parametrize("form", ["focal length", "of each frame", "angles", "one angle"])
+def test_the_frames_of_a_transforms_json_are_a_path(form: str, tmp_path: Path) -> None:
+    path = path_of(3)
+    size = (400, 400) if form == "one angle" else (600, 400)
+    cameras = [replace(path, vertical_fov_deg=np.full(3, 50.0)).camera(t, *size) for t in path.times_s.tolist()]
+    names = ["images/frame_2.png", "images/frame_10.png", "images/frame_1.png"]
+    frames = [
+        {"file_path": name, "transform_matrix": (camera.camera_to_world @ OPENGL).tolist()}
+        for name, camera in zip(names, cameras, strict=True)
+    ]
+    camera = cameras[0]
+    inner: dict[str, Any] = {"fl_x": camera.fx, "fl_y": camera.fy, "w": 600, "h": 400, "camera_model": "OPENCV"}
+    values: dict[str, Any] = {
+        "focal length": inner,
+        "of each frame": {"fl_y": 1.0},
+        "angles": {"camera_angle_x": 2 * np.arctan(300 / camera.fx), "w": 600, "h": 400},
+        "one angle": {"camera_angle_x": np.radians(50.0)},
+    }[form]
+    if form == "of each frame":
+        frames = [frame | inner for frame in frames]
+    text = json.dumps({**values, "frames": frames})
+    (tmp_path / "transforms.json").write_text("\ufeff" + text, encoding="utf-8")  # with a byte-order mark
+    found = read_camera_path(tmp_path / "transforms.json")
+    assert not found.is_timed
+    for time_s, number in zip(found.times_s.tolist(), [2, 0, 1], strict=True):
+        same_view(found.camera(time_s, *size), cameras[number])
+
+
+@pytest.mark.parametrize("name", ["camera_type", "camera_model"])
+@pytest.mark.parametrize("kind", ["equirectangular", "EQUIRECTANGULAR", "fisheye", "OPENCV_FISHEYE", "omnidirectional"])
+def test_paths_of_cameras_without_perspective_are_refused(name: str, kind: str, tmp_path: Path) -> None:
+    keys = viewer_keys()[1]
+    rows = {
+        "camera_type": {"camera_path": [{"camera_to_world": key["matrix"], "fov": 50.0} for key in keys], "seconds": 2},
+        "camera_model": {"frames": [{"transform_matrix": np.eye(4).tolist()}], "camera_angle_x": 1.0},
+    }[name]
+    (tmp_path / "a.json").write_text(json.dumps(rows))
+    assert read_camera_path(tmp_path / "a.json")
+    (tmp_path / "a.json").write_text(json.dumps({name: kind, **rows}))
+    with pytest.raises(SceneFormatError, match=rf"a\.json: .*{name} '{kind}'"):
+        read_camera_path(tmp_path / "a.json")
+
+
+def test_cameras_of_others_are_relative_to_the_origin_of_the_scene(tmp_path: Path) -> None:
+    scene = replace(small_scene(), origin=(447_613.0, 5_411_938.0, 212.0))
+    path, origin = path_of(3), np.array(scene.origin)
+    far = replace(path, positions=path.positions + origin)
+    write_nerfstudio_path(tmp_path / "a.json", far, 1.0)
+    write_training_cameras(tmp_path / "b.json", far, 1.0)
+    write_camera_path(tmp_path / "own.json", path)
+    for file in ("a.json", "b.json", "own.json"):
+        found = read_camera_path(tmp_path / file, scene)
+        np.testing.assert_allclose(found.positions[0], path.positions[0], atol=1e-6, err_msg=file)
+
+
 def write_gltf_camera(path: Path, interpolation: str = "LINEAR", uri: str = "") -> tuple[np.ndarray, Rotation]:
     """A camera that turns on a node that moves, at three moments; returns its places and rotations there."""
     places = np.array([[0, 1, 5], [1, 2, 4], [4, 2, 4]], "<f4")
@@ -308,7 +396,7 @@ def test_a_camera_of_gltf_is_where_the_glb_of_its_scene_has_it(tmp_path: Path) -
     write_scene(scene, tmp_path / "scene.glb")
     (layer,) = read_scene(tmp_path / "scene.glb").layers
     parts = [part.gaussians.means @ part.to_world[:3, :3].T + part.to_world[:3, 3] for part in scene.parts()]
-    in_world = read_camera_path(tmp_path / "a.glb", scene.scene_to_world).moved(scene.scene_to_world)
+    in_world = read_camera_path(tmp_path / "a.glb", scene).moved(scene.scene_to_world)
     in_file = read_camera_path(tmp_path / "a.glb")
     for row, time_s in enumerate((0.0, 0.5, 2.0)):
         local = turns[row].inv().apply(layer.gaussians.means * [-1, -1, 1] - places[row])  # glTF: y up, z back
@@ -365,6 +453,10 @@ KEY = {"time_s": 0, "position": [0, 0, 0], "quaternion_wxyz": [1, 0, 0, 0], "ver
         ({"keyframes": [KEY | {"quaternion_wxyz": [0, 0, 0, 0]}]}, "quaternion"),
         ({"keyframes": [KEY], "interpolation": "cubic"}, "interpolation 'cubic'"),
         ({"keyframes": [KEY], "easing": "bounce"}, "easing 'bounce'"),
+        ({"keyframes": [], "camera_path": []}, "keyframe"),
+        ({"frames": [{"file_path": "a.png"}]}, "'transform_matrix'"),
+        ({"frames": [{"transform_matrix": [[1, 0], [0, 1]]}], "camera_angle_x": 1}, "transform_matrix"),
+        ({"frames": [{"transform_matrix": np.eye(4).tolist()}]}, "'camera_angle_x'"),
     ],
 )
 def test_bad_paths_are_named(tmp_path: Path, text: Any, field: str) -> None:

@@ -10,7 +10,8 @@ import numpy as np
 from jaxtyping import Bool, Shaped, UInt8
 from PIL import Image, ImageOps, UnidentifiedImageError
 
-from ...safe_io.limits import InputError, check_expansion, kind_of_bytes, kind_of_file, open_file
+from ...safe_io.file_kinds import kind_of_bytes, kind_of_file
+from ...safe_io.limits import InputError, check_expansion, open_file
 from ..capture import CaptureError
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff")

@@ -167,11 +167,13 @@ def _in_frame_of(first: Layer, layer: Layer, *, bake: bool) -> Gaussians:
 def import_scene(scene: Scene, other: Scene) -> Scene:
     """Add members, lamps and selection sets of another scene, so that the world frames agree, under unique names.
 
-    Lamps of its ego vehicle are left out.
+    Where both have an origin in the coordinates of their files, those agree. Lamps of its ego vehicle are left out.
     """
     if not scene.members:
         return other
     to_scene = np.linalg.inv(scene.scene_to_world) @ other.scene_to_world
+    if any(scene.origin) and any(other.origin):
+        to_scene[:3, 3] += to_scene[:3, :3] @ np.array(other.origin) - np.array(scene.origin)
     if np.allclose(to_scene, np.eye(4), rtol=0, atol=1e-12):
         to_scene = np.eye(4)
     result, keys, lamps = scene, dict[str, str](), other.lamps

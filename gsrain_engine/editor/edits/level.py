@@ -50,6 +50,7 @@ def oriented(scene: Scene, up: str | None = None, metres_per_unit: float | None 
         x, y, z = (sign if axis == component else 0.0 for axis in range(3))
         if (x, y, z) != scene.up:
             scene = _with_water_found(replace(scene, up=(x, y, z), ground_m=None, water=None))
+        scene = replace(scene, up_is_assumed=False)
     if metres_per_unit is None:
         return scene
     low, high = UNIT_M
@@ -62,7 +63,7 @@ def level_to(scene: Scene, up: Float64[np.ndarray, "3"], point_m: Float64[np.nda
     """Rotate the world so that a direction points up, and set the ground to the height of a point."""
     rotation = scene.scene_to_world[:3, :3] / scene.metres_per_unit
     x, y, z = np.round(rotation.T @ (up / np.linalg.norm(up)), 12).tolist()  # exact axes stay exact
-    turned = replace(scene, up=(x, y, z), water=None)
+    turned = replace(scene, up=(x, y, z), up_is_assumed=False, water=None)
     to_new = turned.scene_to_world @ np.linalg.inv(scene.scene_to_world)
     return _with_water_found(replace(turned, ground_m=float(to_new[2, :3] @ point_m + to_new[2, 3])))
 

@@ -10,12 +10,13 @@ from typing import NamedTuple
 import numpy as np
 import psutil
 import zstandard
-from jaxtyping import Float32, Integer, UInt8
+from jaxtyping import Bool, Float32, Integer, UInt8
 
 from ...safe_io.limits import max_expanded_bytes
 from ..files import SceneFormatError
 from ..gaussians import Gaussians
-from ..scene import Scene
+from ..scene import Layer, Scene
+from ..transforms import FILE_UP
 
 _LARGEST_ZSTD_WINDOW = 2**27  # the default limit of zstd (windowLog 27)
 
@@ -109,6 +110,9 @@ def gaussian_bytes(count: int, coefficients: int) -> int:
 
 # Validation
 
+_MAX_LEFT_OUT = 0.1
+"""Largest share of a file's Gaussians that may be unusable: programs leave a few rows of NaN, damage does more."""
+
 
 def checked_gaussians(
     path: Path,
@@ -118,23 +122,48 @@ def checked_gaussians(
     opacities: Float32[np.ndarray, " n"],
     sh: Float32[np.ndarray, "n k 3"],
 ) -> Gaussians:
-    """Build `Gaussians` from a file's values; normalizes quaternions, which must not be 0.
-
-    Raises `SceneFormatError` with the problem, the number of affected Gaussians and the first of them.
-    """
-    fields = {"mean": means, "scale": scales, "quaternion": quaternions, "opacity": opacities, "color": sh}
-    check_finite(path, fields)
-    if scales.size and scales.min() < 0:
-        raise SceneFormatError(path, _counted(np.flatnonzero(scales.min(axis=1) < 0), len(scales), "a negative scale"))
-    with np.errstate(over="ignore"):
-        lengths = np.sqrt(np.einsum("ij,ij->i", quaternions, quaternions))
-    if len(lengths) and not lengths.min() > 1e-12:
-        raise SceneFormatError(path, _counted(np.flatnonzero(lengths <= 1e-12), len(lengths), "a zero quaternion"))
-    if len(lengths) and not lengths.max() < np.inf:
-        endless = np.flatnonzero(np.isinf(lengths))
-        raise SceneFormatError(path, _counted(endless, len(lengths), "a quaternion too long to be normalized"))
+    """Build `Gaussians` from the `usable_rows` of a file's values, with unit quaternions. Raises `SceneFormatError`."""
+    fit = usable_rows(path, means, scales, quaternions, opacities, sh)
+    if not fit.all():
+        means, scales, quaternions, opacities, sh = (each[fit] for each in (means, scales, quaternions, opacities, sh))
+    lengths = np.sqrt(np.einsum("ij,ij->i", quaternions, quaternions))
     np.divide(quaternions, lengths[:, None], out=quaternions)
     return Gaussians(means, scales, quaternions, opacities, sh)
+
+
+def usable_rows(
+    path: Path,
+    means: Float32[np.ndarray, "n 3"],
+    scales: Float32[np.ndarray, "n 3"],
+    quaternions: Float32[np.ndarray, "n 4"],
+    opacities: Float32[np.ndarray, " n"],
+    sh: Float32[np.ndarray, "n k 3"],
+) -> Bool[np.ndarray, " n"]:
+    """Mask of the rows that are Gaussians.
+
+    Others hold numbers that are not finite, a negative scale, a zero quaternion or an opacity outside 0 to 1. They are
+    logged with their number. Raises `SceneFormatError` with the same words if they are more than a tenth.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        lengths = np.sqrt(np.einsum("ij,ij->i", quaternions, quaternions))
+        faults = {
+            **_not_finite(
+                {"mean": means, "scale": scales, "quaternion": quaternions, "opacity": opacities, "color": sh}
+            ),
+            "a negative scale": None if scales.min(initial=0) >= 0 else (scales < 0).any(axis=1),
+            "a zero quaternion": None if lengths.min(initial=1) > 1e-12 else lengths <= 1e-12,
+            "a quaternion too long to be normalized": None if lengths.max(initial=0) < np.inf else np.isinf(lengths),
+            "an opacity outside 0 to 1": (opacities < 0) | (opacities > 1),
+        }
+    bad = {what: np.asarray(rows) for what, rows in faults.items() if rows is not None and rows.any()}
+    if bad:
+        left_out = np.logical_or.reduce([*bad.values()])
+        told = ", ".join(_counted(np.flatnonzero(rows), len(rows), what) for what, rows in bad.items())
+        if left_out.sum() > _MAX_LEFT_OUT * len(left_out):
+            raise SceneFormatError(path, told)
+        logger.warning("%s: %d Gaussians are left out: %s", path, left_out.sum(), told)
+        return ~left_out
+    return np.ones(len(means), np.bool_)
 
 
 def check_finite(path: Path, fields: Mapping[str, Float32[np.ndarray, "..."]]) -> None:
@@ -142,18 +171,45 @@ def check_finite(path: Path, fields: Mapping[str, Float32[np.ndarray, "..."]]) -
 
     Raises `SceneFormatError` with the field, the number of affected Gaussians and the first of them.
     """
+    for what, bad in _not_finite(fields).items():
+        raise SceneFormatError(path, _counted(np.flatnonzero(bad), len(bad), what))
+
+
+def _not_finite(fields: Mapping[str, Float32[np.ndarray, "..."]]) -> dict[str, Bool[np.ndarray, " n"]]:
+    """Masks of the rows with NaN or infinity, of the fields that have any; the keys are phrases."""
+    found: dict[str, Bool[np.ndarray, " n"]] = {}
     for name, values in fields.items():
         # Cheap test: a sum is finite only if every term is, apart from float32 overflow.
         with np.errstate(invalid="ignore"):  # infinity minus infinity
             total = np.sum(values, dtype=np.float64)
         if not np.isfinite(total):
-            bad = np.flatnonzero(~np.isfinite(values.reshape(len(values), -1)).all(axis=1))
             article = "an" if name[0] in "aeiou" else "a"
-            raise SceneFormatError(path, _counted(bad, len(values), f"{article} {name} that is not a finite number"))
+            bad = np.asarray(~np.isfinite(values.reshape(len(values), -1)).all(axis=1))
+            found[f"{article} {name} that is not a finite number"] = bad
+    return found
 
 
 def _counted(bad: "np.ndarray[tuple[int], np.dtype[np.int64]]", total: int, what: str) -> str:
     return f"{len(bad)} of {total} Gaussians have {what}, the first is number {bad[0]}"
+
+
+# Scenes of single files
+
+
+def single_layer(name: str, gaussians: Gaussians) -> Scene:
+    """Scene of one background layer; files of Gaussians store neither axes nor unit, so both are assumed."""
+    name = printable_name(name)
+    return Scene(name, (Layer(name, gaussians),), up=FILE_UP, up_is_assumed=True, unit_is_assumed=True)
+
+
+def printable_name(name: str) -> str:
+    """Name that can be saved as JSON: one that is not UTF-8 can't."""
+    return name.encode(errors="replace").decode()
+
+
+def stem_of(path: Path, suffix: str) -> str:
+    """Name of a file without the suffix of its format; for a file named only by a suffix, its folder's name."""
+    return path.name[: -len(suffix)] if len(path.name) > len(suffix) else path.resolve().parent.name
 
 
 # Format description
@@ -180,6 +236,9 @@ class Format(NamedTuple):
 
 
 # Packed numbers
+
+COARSE_SHARE = 0.1
+"""Largest step of written means, as a share of the median size, that does not show."""
 
 
 def rounded_bytes(values: Float32[np.ndarray, "*n"]) -> UInt8[np.ndarray, "*n"]:

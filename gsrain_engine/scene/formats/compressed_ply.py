@@ -4,21 +4,24 @@ Layout as written by SuperSplat and splat-transform (PlayCanvas, MIT): element `
 and, in newer files, colors; `vertex` with four 32-bit words; optional `sh` with a byte per coefficient.
 """
 
+import logging
 from collections.abc import Sequence
 from dataclasses import replace
 from io import BufferedReader
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32, UInt, UInt32
+from jaxtyping import Float32, Int64, UInt, UInt32
 
 from ..files import SceneFormatError
 from ..gaussians import COEFFICIENTS_OF_DEGREE, SH_C0, Gaussians
-from ..lod_order import morton_order
-from ._common import check_finite, check_room, checked_gaussians, with_largest, without_largest
+from ..scene import robust_bounds
+from ._common import COARSE_SHARE, check_room, checked_gaussians, with_largest, without_largest
 from .ply_header import ANTIALIASED, PlyElement, element_rows
 
+logger = logging.getLogger("gsrain")
 _MEANS = ("x", "y", "z")
 _CHUNK = 256  # gaussians per chunk, with common bounds
 _PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
@@ -58,21 +61,20 @@ def read_compressed(path: Path, file: BufferedReader, elements: dict[str, PlyEle
         base = _between(bounds, colors[:, :3], "rgb") if has_colors else colors[:, :3]
         sh = _read_sh(path, file, elements.get("sh"), n)
         sh[:, 0] = (base - np.float32(0.5)) / np.float32(SH_C0)
-        check_finite(path, {"logarithm of a scale": logs})
         np.exp(logs, out=logs)
     found = checked_gaussians(path, means, logs, _quaternions(packed["packed_rotation"]), opacities, sh)
     return replace(found, antialiased=elements["vertex"].is_antialiased)
 
 
 def write_compressed(gaussians: Gaussians, path: Path) -> None:
-    """Write a compressed PLY, with the Gaussians along a Morton curve, so that those of a chunk are close together.
+    """Write a compressed PLY in `chunk_order`, so that those of a chunk are close together.
 
     Means keep 11, 10 and 11 bits within a chunk, log scales, too, quaternions 10 bits a component, opacities and colors
     8 bits, harmonics above degree 0 8 bits within -4 .. 4. Raises `ValueError` without Gaussians, which have no bounds.
     """
     if not len(gaussians):
         raise ValueError("a compressed PLY has bounds of at least one Gaussian; there is none to write")
-    sorted_ = gaussians.take(morton_order(gaussians))
+    sorted_ = gaussians.take(chunk_order(gaussians))
     logs = np.log(np.maximum(sorted_.scales, np.float32(1e-37))).clip(-_LOG_SCALES_RANGE, _LOG_SCALES_RANGE)
     colors = sorted_.sh[:, 0] * np.float32(SH_C0) + np.float32(0.5)
     starts = np.arange(0, len(gaussians), _CHUNK)
@@ -87,6 +89,8 @@ def write_compressed(gaussians: Gaussians, path: Path) -> None:
         for end, bound in (("min", low), ("max", high)):
             columns |= {f"{end}_{name}": bound[:, i] for i, name in enumerate(names)}
         chunk = np.arange(len(values)) // _CHUNK
+        if values is sorted_.means:
+            _warn_of_coarse_steps((high - low).max(axis=1)[chunk] / ((1 << min(bits)) - 1), sorted_)
         span = np.where(high > low, high - low, 1)[chunk]
         words.append(_words((values - low[chunk]) / span, bits))
     position, scale, color = words
@@ -112,6 +116,66 @@ def write_compressed(gaussians: Gaussians, path: Path) -> None:
         if rest:
             steps = np.floor(sorted_.sh[:, 1:] * np.float32(256 / _SH_RANGE) + np.float32(128))
             file.write(steps.clip(0, 255).astype(np.uint8).transpose(0, 2, 1).tobytes())
+
+
+def chunk_order(gaussians: Gaussians) -> Int64[np.ndarray, " n"]:
+    """Order of Gaussians in which each 256 are close together.
+
+    They follow a Morton curve whose cells are divided further where more than a chunk are in one. Those far out, which
+    would take its precision from the scene, are last, in chunks of their own; the least visible of the others fill up
+    the first of these.
+    """
+    box = robust_bounds(gaussians)
+    reach = _FAR_EXTENTS * (box.high - box.low).max()
+    is_far = np.any((gaussians.means < box.low - reach) | (gaussians.means > box.high + reach), axis=1)
+    near, far = np.flatnonzero(~is_far), np.flatnonzero(is_far)
+    if len(far) and len(near) % _CHUNK:
+        visibility = gaussians.opacities[near] * gaussians.scales[near].max(axis=1) ** 2
+        order = np.argsort(visibility, kind="stable")
+        rest = len(near) % _CHUNK
+        near, far = np.sort(near[order[rest:]]), np.concatenate([near[order[:rest]], far])
+    return np.concatenate([_along_curve(gaussians.means, near), _along_curve(gaussians.means, far)])
+
+
+_FAR_EXTENTS = 2.0  # times the extent of a scene's middle, beyond it, from which on Gaussians are far out
+
+
+def _along_curve(means: Float32[np.ndarray, "n 3"], indices: Int64[np.ndarray, " m"]) -> Int64[np.ndarray, " m"]:
+    """Sort indices along a Morton curve, finer and finer until at most a chunk is in a cell or all are in one place."""
+    ordered = indices.copy()
+    waiting = [(0, len(indices))]
+    while waiting:
+        start, end = waiting.pop()
+        there = means[ordered[start:end]].astype(np.float64)
+        low, high = there.min(axis=0, initial=np.inf), there.max(axis=0, initial=-np.inf)
+        if end - start <= 1 or not (high > low).any():
+            continue
+        cells = ((there - low) * ((_CELLS - 1) / (high - low).max())).astype(np.uint64)
+        codes = np.zeros(end - start, np.uint64)
+        for bit in range(_CELLS.bit_length() - 1):
+            for axis in range(3):
+                codes |= ((cells[:, axis] >> np.uint64(bit)) & np.uint64(1)) << np.uint64(3 * bit + axis)
+        order = np.argsort(codes, kind="stable")
+        ordered[start:end] = ordered[start:end][order]
+        firsts = np.flatnonzero(np.diff(codes[order], prepend=codes[order[0]] + np.uint64(1)))
+        bounds = np.append(firsts, end - start) + start
+        waiting += [(a, b) for a, b in pairwise(bounds.tolist()) if b - a > _CHUNK]
+    return ordered
+
+
+_CELLS = 1024  # cells along each axis of a Morton curve
+
+
+def _warn_of_coarse_steps(steps: Float32[np.ndarray, " n"], gaussians: Gaussians) -> None:
+    """Log how many Gaussians lie on steps of a size that shows: a tenth of that of most of them."""
+    size = float(np.median(gaussians.scales.max(axis=1)))
+    coarse = int(np.count_nonzero(steps > COARSE_SHARE * size))
+    if coarse > _FEW * len(gaussians):
+        told = "%d of %d Gaussians are placed in steps of up to %.3g units, most are %.3g wide: a .ply or .glb is exact"
+        logger.warning(told, coarse, len(gaussians), steps.max(), size)
+
+
+_FEW = 0.01  # share of Gaussians that may be placed coarsely without a word
 
 
 def _words(fractions: Float32[np.ndarray, "n f"], bits: Sequence[int]) -> UInt32[np.ndarray, " n"]:

@@ -1,4 +1,4 @@
-"""Binary glTF files (`.glb`) with Gaussians: the extension KHR_gaussian_splatting of Khronos, kernel `ellipse`.
+"""glTF files (`.glb`, `.gltf`) with Gaussians: the extension KHR_gaussian_splatting of Khronos, kernel `ellipse`.
 
 glTF has y up and z toward the front, the files of 3DGS y down and z forward: half a turn about z lies between them.
 Gaussians that a draft extension compresses as SPZ are read, and cameras with their animation as camera paths.
@@ -24,10 +24,11 @@ from ...safe_io.errors import readable_validation_error
 from ...safe_io.limits import read_file
 from ..camera_path import CameraPath
 from ..files import SceneFormatError
-from ..gaussians import COEFFICIENTS_OF_DEGREE, SH_C0, Gaussians
+from ..gaussians import COEFFICIENTS_OF_DEGREE, SH_C0, Gaussians, sh_from_color
 from ..geometry import matrices_from_quaternions, quaternions_from_matrices, srgb_to_linear
-from ..transforms import transform_gaussians
-from ._common import check_room, checked_gaussians, rounded_bytes
+from ..scene import Scene
+from ..transforms import far_place, flatten_scene, moved_gaussians, origin_in_file, transform_gaussians
+from ._common import check_room, checked_gaussians, rounded_bytes, single_layer, stem_of
 from .spz import decode_spz, spz_size
 
 _EXTENSION = "KHR_gaussian_splatting"
@@ -36,6 +37,7 @@ _READABLE = (_EXTENSION, _SPZ_EXTENSION, "KHR_mesh_quantization")
 _MAGIC, _JSON, _BINARY = b"glTF", b"JSON", b"BIN\0"
 _HEADER = struct.Struct("<4sII")  # magic, version, bytes of the file
 _CHUNK = struct.Struct("<I4s")  # bytes, kind
+_COLORS = "COLOR_0"
 _POINTS = 0
 _FLOAT, _UNSIGNED_BYTE = 5126, 5121
 _ARRAY_BUFFER = 34962
@@ -172,12 +174,23 @@ class _Placed(NamedTuple):
     sh_degree: int
 
 
-def read_glb(path: Path) -> Gaussians:
-    """Read the Gaussians of a binary glTF file, those of all nodes of its scene, in PLY axes.
+def read_gltf(path: Path) -> Gaussians:
+    """Read the Gaussians of a glTF file, those of all nodes of its scene, in PLY axes.
 
-    Raises `SceneFormatError` if the file is damaged, has no Gaussians, or needs an extension that is not read.
+    Buffers may be in the file, as data in its description, or files next to it. Raises `SceneFormatError` if the file
+    is damaged, has no Gaussians, or needs an extension that is not read.
     """
-    return _GlbReader(path, read_file(path)).read()
+    gaussians, place = _GltfReader(path, read_file(path)).read()
+    return moved_gaussians(gaussians, place)
+
+
+def read_gltf_scene(path: Path) -> Scene:
+    """Read Gaussians as `read_gltf` does; nodes far from the origin lose nothing, as `to_scene` has their place."""
+    gaussians, place = _GltfReader(path, read_file(path)).read()
+    scene = single_layer(stem_of(path, path.suffix), gaussians)
+    to_scene = np.eye(4)
+    to_scene[:3, 3] = place
+    return replace(scene, layers=(replace(scene.layers[0], to_scene=to_scene),))
 
 
 def read_gltf_camera_path(path: Path) -> CameraPath:
@@ -186,7 +199,7 @@ def read_gltf_camera_path(path: Path) -> CameraPath:
     Keyframes are at all times of the samples of the camera's node and of its parents, and the path is straight between
     them. Raises `SceneFormatError` if the file is damaged, has no perspective camera, or splines between its samples.
     """
-    reader = _GlbReader(path, read_file(path))
+    reader = _GltfReader(path, read_file(path))
     try:
         with np.errstate(all="ignore"):  # the path's own checks report overflow and division by 0
             return reader.camera_path()
@@ -197,16 +210,16 @@ def read_gltf_camera_path(path: Path) -> CameraPath:
 
 
 GLTF = (".glb", ".gltf")
-"""Suffixes of files with cameras. Gaussians are read from the first only."""
+"""Suffixes of glTF files."""
 
 
-class _GlbReader:
-    """One file: its description and its binary chunk, or of a `.gltf` the first buffer."""
+class _GltfReader:
+    """One file: its description and its buffers."""
 
     def __init__(self, path: Path, data: bytes) -> None:
         self.path = path
-        is_text = path.suffix.lower() == ".gltf"
-        text, self.binary = (data, memoryview(b"")) if is_text else _chunks(path, data)
+        text, self.binary = _chunks(path, data) if data.startswith(_MAGIC) else (data, memoryview(b""))
+        self.buffers: dict[int, memoryview] = {}
         try:
             self.document = msgspec.json.decode(text, type=_GltfDocument)
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
@@ -214,18 +227,18 @@ class _GlbReader:
         unknown = [name for name in self.document.extensions_required if name not in _READABLE]
         if unknown:
             raise SceneFormatError(path, f"glTF: it requires {', '.join(unknown)[:80]}, which is not read")
-        self.uri: str | None = None
-        if is_text and self.document.buffers:
-            self.uri = self.document.buffers[0].uri
-            self.binary = memoryview(_outer_buffer(path, self.uri or ""))
 
-    def read(self) -> Gaussians:
-        placed = [*self._placed()]
+    def read(self) -> tuple[Gaussians, Float64[np.ndarray, "3"]]:
+        """Gaussians relative to a place far from the origin, or to that, and the place; both in PLY axes."""
+        placed = self._placed()
         if not placed:
             raise SceneFormatError(self.path, f"glTF: none of its meshes has Gaussians ({_EXTENSION})")
         coefficients = COEFFICIENTS_OF_DEGREE[max(each.sh_degree for each in placed)]
         check_room(self.path, sum(each.gaussians for each in placed), coefficients)
-        return Gaussians.concatenate([self._gaussians(each) for each in placed])
+        place = far_place(np.array([each.to_scene[:3, 3] for each in placed]))
+        for each in placed:
+            each.to_scene[:3, 3] -= place
+        return Gaussians.concatenate([self._gaussians(each) for each in placed]), place * _POINT_FLIP
 
     def _placed(self) -> list[_Placed]:
         """Primitives with Gaussians and their placement, by a walk through the nodes of the scene."""
@@ -278,6 +291,8 @@ class _GlbReader:
         if compression:
             return spz_size(self.path, self._view(compression.buffer_view))
         count = self._accessor(primitive, "POSITION").count
+        if _is_draft(primitive):
+            return count, 0
         found = {match.groups() for name in primitive.attributes if (match := _SH_NAME.fullmatch(name))}
         degrees = [*range(max((int(degree) for degree, _ in found), default=0) + 1)]
         expected = {(str(degree), str(n)) for degree in degrees for n in range(2 * degree + 1)}
@@ -294,24 +309,28 @@ class _GlbReader:
         compression = primitive.extensions.splatting and primitive.extensions.splatting.extensions.spz
         if compression:
             gaussians = _turned(decode_spz(self.path, bytes(self._view(compression.buffer_view))))
+        elif _is_draft(primitive):
+            colors = self._values(primitive, _COLORS, "VEC4")
+            gaussians = checked_gaussians(
+                self.path,
+                self._values(primitive, "POSITION", "VEC3"),
+                self._values(primitive, "_SCALE", "VEC3"),
+                np.ascontiguousarray(self._values(primitive, "_ROTATION", "VEC4")[:, [3, 0, 1, 2]]),
+                np.ascontiguousarray(colors[:, 3]),
+                sh_from_color(colors[:, :3]),
+            )
         else:
             sh = np.empty((placed.gaussians, COEFFICIENTS_OF_DEGREE[placed.sh_degree], 3), np.float32)
             for degree in range(placed.sh_degree + 1):
                 for n in range(2 * degree + 1):
                     name = f"{_EXTENSION}:SH_DEGREE_{degree}_COEF_{n}"
                     sh[:, degree * degree + n] = self._values(primitive, name, "VEC3")
-            opacities = self._values(primitive, f"{_EXTENSION}:OPACITY", "SCALAR")[:, 0]
-            with np.errstate(invalid="ignore"):
-                outside = np.flatnonzero((opacities < 0) | (opacities > 1))
-            if len(outside):
-                told = f"{len(outside)} of {len(opacities)} Gaussians have an opacity outside 0 to 1"
-                raise SceneFormatError(self.path, f"{told}, the first is number {outside[0]}")
             gaussians = checked_gaussians(
                 self.path,
                 self._values(primitive, "POSITION", "VEC3"),
                 self._values(primitive, f"{_EXTENSION}:SCALE", "VEC3"),
                 np.ascontiguousarray(self._values(primitive, f"{_EXTENSION}:ROTATION", "VEC4")[:, [3, 0, 1, 2]]),
-                opacities,
+                self._values(primitive, f"{_EXTENSION}:OPACITY", "SCALAR")[:, 0],
                 sh,
             )
         if isinstance(primitive.extras, dict) and primitive.extras.get("antialiased") is True:
@@ -409,19 +428,34 @@ class _GlbReader:
 
     def _view(self, index: int) -> memoryview:
         view = self._at(self.document.buffer_views, index, "bufferViews")
-        buffer = self._at(self.document.buffers, view.buffer, "buffers")
-        if view.buffer != 0 or buffer.uri != self.uri:
-            raise SceneFormatError(self.path, f"glTF: buffer {view.buffer} must be the file's own, the first")
+        buffer = self._buffer(view.buffer)
         end = view.byte_offset + view.byte_length
-        if end > min(len(self.binary), buffer.byte_length):
-            told = f"bufferView {index} ends at byte {end}, the binary chunk has {len(self.binary)}: it is cut off"
+        if end > len(buffer):
+            told = f"bufferView {index} ends at byte {end}, buffer {view.buffer} has {len(buffer)}"
             raise SceneFormatError(self.path, f"glTF: {told}")
-        return self.binary[view.byte_offset : end]
+        return buffer[view.byte_offset : end]
+
+    def _buffer(self, index: int) -> memoryview:
+        """Bytes of a buffer; the first one of a binary file may be its binary chunk."""
+        if index not in self.buffers:
+            buffer = self._at(self.document.buffers, index, "buffers")
+            own = self.binary if index == 0 and buffer.uri is None else None
+            data = memoryview(_outer_buffer(self.path, buffer.uri or "")) if own is None else own
+            if len(data) < buffer.byte_length:
+                told = f"buffer {index} has {len(data)} bytes instead of {buffer.byte_length}: it is cut off"
+                raise SceneFormatError(self.path, f"glTF: {told}")
+            self.buffers[index] = data[: buffer.byte_length]
+        return self.buffers[index]
 
     def _at(self, rows: list[_Row], index: int, name: str) -> _Row:
         if index >= len(rows):
             raise SceneFormatError(self.path, f"glTF: there is no number {index} in {name}, which has {len(rows)}")
         return rows[index]
+
+
+def _is_draft(primitive: _Primitive) -> bool:
+    """Return whether Gaussians have the attributes of the first draft of the extension: colors without harmonics."""
+    return {"_SCALE", "_ROTATION", _COLORS} <= primitive.attributes.keys()
 
 
 def _chunks(path: Path, data: bytes) -> tuple[memoryview, memoryview]:
@@ -483,10 +517,16 @@ def _turned(gaussians: Gaussians) -> Gaussians:
     )
 
 
-def write_glb(gaussians: Gaussians, path: Path) -> None:
+def write_glb_scene(scene: Scene, path: Path) -> None:
+    """Write the flattened scene, at its place in the coordinates of the file that it came from."""
+    write_glb(flatten_scene(scene), path, origin_in_file(scene))
+
+
+def write_glb(gaussians: Gaussians, path: Path, origin: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
     """Write a binary glTF file: one node, mesh and primitive of points with 32-bit floats, in glTF's axes.
 
-    `COLOR_0` holds colors and opacities for viewers that draw points. `extras` marks antialiased Gaussians.
+    Means are relative to `origin`, in PLY axes, to which the node is moved. `COLOR_0` holds colors and opacities for
+    viewers that draw points. `extras` marks antialiased Gaussians.
 
     Raises `ValueError` without Gaussians, or for more than fit into 4 GiB.
     """
@@ -495,7 +535,7 @@ def write_glb(gaussians: Gaussians, path: Path) -> None:
     turned = _turned(gaussians)
     columns: dict[str, tuple[str, Float32[np.ndarray, "n w"] | UInt8[np.ndarray, "n w"]]] = {
         "POSITION": ("VEC3", turned.means),
-        "COLOR_0": ("VEC4", _point_colors(turned)),
+        _COLORS: ("VEC4", _point_colors(turned)),
         f"{_EXTENSION}:ROTATION": ("VEC4", turned.quaternions[:, [1, 2, 3, 0]]),
         f"{_EXTENSION}:SCALE": ("VEC3", turned.scales),
         f"{_EXTENSION}:OPACITY": ("SCALAR", turned.opacities[:, None]),
@@ -523,13 +563,16 @@ def write_glb(gaussians: Gaussians, path: Path) -> None:
     }
     if gaussians.antialiased:
         primitive["extras"] = {"antialiased": True}
+    node: dict[str, Any] = {"mesh": 0}
+    if any(origin):
+        node["translation"] = (np.array(origin) * _POINT_FLIP).tolist()
     text = msgspec.json.encode(
         {
             "asset": {"version": "2.0", "generator": "GSRAIN"},
             "extensionsUsed": [_EXTENSION],
             "scene": 0,
             "scenes": [{"nodes": [0]}],
-            "nodes": [{"mesh": 0}],
+            "nodes": [node],
             "meshes": [{"primitives": [primitive]}],
             "accessors": accessors,
             "bufferViews": views,

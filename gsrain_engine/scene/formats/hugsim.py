@@ -30,7 +30,7 @@ from ..gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
 from ..geometry import quaternions_from_matrices
 from ..scene import Actor, Layer, PoseTrack, RigCamera, Scene
 from ..transforms import FILE_UP, transform_gaussians
-from ._common import check_expansion, checked_gaussians
+from ._common import check_expansion, checked_gaussians, usable_rows
 
 _SCENE, _VEHICLE = "scene.pth", "gs.pth"
 _CONFIG, _RECORDING, _SIZE, _ROAD = "cfg.yaml", "meta_data.json", "wlh.json", "ground.pth"
@@ -311,8 +311,10 @@ def _read_model(path: Path, state: Sequence[Any]) -> _Model:
         sh = np.concatenate([constant.reshape(count, 1, 3), rest.reshape(count, -1, 3)], axis=1)[:, :coefficients]
         with np.errstate(over="ignore"):
             opacities = 1 / (1 + np.exp(-opacities.reshape(count)))
-        gaussians = checked_gaussians(path, means, np.exp(scales), quaternions, opacities, np.ascontiguousarray(sh))
-        return _Model(gaussians, features.reshape(count, -1).argmax(axis=1))
+        arrays = means, np.exp(scales), quaternions, opacities, np.ascontiguousarray(sh)
+        fit = usable_rows(path, *arrays)
+        gaussians = checked_gaussians(path, *(each[fit] for each in arrays))
+        return _Model(gaussians, features.reshape(count, -1)[fit].argmax(axis=1))
     except SceneFormatError:
         raise
     except _DAMAGED as error:

@@ -72,6 +72,7 @@ def read_ksplat(path: Path) -> Gaussians:
     check_room(path, header.count, COEFFICIENTS_OF_DEGREE[_LARGEST_DEGREE])
     start = _HEADER_BYTES + _SECTION_BYTES * header.sections
     parts: list[Gaussians] = []
+    found = 0
     for index in range(header.sections):
         section = _read_section(path, data, index)
         record = _record(header.level, section.sh_degree)
@@ -82,8 +83,7 @@ def read_ksplat(path: Path) -> Gaussians:
         records = np.frombuffer(data, record, section.count, records_start)
         centres = _bucket_centers(path, section, data[start:records_start]) if header.level else None
         parts.append(_decode(path, header, section, records, centres))
-        start = end
-    found = sum(map(len, parts))
+        start, found = end, found + section.count
     if found != header.count:
         raise SceneFormatError(path, f"its sections hold {found} Gaussians, the header says {header.count}")
     return Gaussians.concatenate(parts)
@@ -154,10 +154,6 @@ def _decode(
         scales = records["scale"].astype(np.float32)
         quaternions = records["quaternion"].astype(np.float32)
         sh = _decode_harmonics(header, section, records)
-    # The format's quaternions are normalized; the square of a damaged one could overflow below.
-    long = np.count_nonzero((np.abs(quaternions) > 2).any(axis=1))
-    if long:
-        raise SceneFormatError(path, f"{long} of {len(scales)} Gaussians have a quaternion longer than 1")
     return checked_gaussians(path, means, scales, quaternions, records["color"][:, 3] / np.float32(255), sh)
 
 

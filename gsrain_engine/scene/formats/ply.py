@@ -3,36 +3,51 @@
 3DGS stores log scales, opacity logits and harmonics as 32-bit floats.
 """
 
+import logging
 import re
 from collections.abc import Iterator
 from dataclasses import replace
 from io import BufferedReader
 from pathlib import Path
-from typing import Any, no_type_check
+from typing import Any, NamedTuple, no_type_check
 
 import numba
 import numpy as np
-from jaxtyping import Float32, Int64
+from jaxtyping import Float, Float32, Float64, Int64
 
 from ...kernels import NOGIL
 from ...safe_io.limits import open_file
 from ..files import SceneFormatError
-from ..gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
-from ._common import check_finite, check_room, checked_gaussians
+from ..gaussians import COEFFICIENTS_OF_DEGREE, Gaussians, sh_from_color
+from ..scene import Actor, Layer, PoseTrack, Scene
+from ..transforms import FILE_UP, far_place, flatten_scene, moved_gaussians, origin_in_file
+from ._common import check_room, checked_gaussians, printable_name, stem_of
 from .compressed_ply import is_compressed, read_compressed
 from .ply_header import ANTIALIASED, PlyElement, element_rows, read_ply_header
 
+logger = logging.getLogger("gsrain")
 _MEANS = ("x", "y", "z")
 _BASE_SH = ("f_dc_0", "f_dc_1", "f_dc_2")
+_COLORS = ("red", "green", "blue")
 _SCALES = ("scale_0", "scale_1", "scale_2")
 _QUATERNIONS = ("rot_0", "rot_1", "rot_2", "rot_3")
-_REQUIRED = (*_MEANS, *_BASE_SH, "opacity", *_SCALES, *_QUATERNIONS)
+_REQUIRED = (*_MEANS, *_BASE_SH, "opacity", *_SCALES[:2], *_QUATERNIONS)
 _NORMALS = ("nx", "ny", "nz")
 """Written as zeros, as in 3DGS itself: some readers count properties instead of reading their names."""
+
+_SMOOTHING = "filter_3D"
+"""Standard deviation of the 3D filter of Mip-Splatting (Yu et al. 2024), GOF and RaDe-GS, beside unfiltered scales."""
+
+_PREFIX = re.compile(r"scal(ar)?_")  # before each name, in files that CloudCompare has written
+_MOVING = re.compile(r"trbf_\w+|(scale|scaling|cov)_t|rot_r_\d|motion_\d+|omega_\d+|velocity_\d+")
+"""Properties of Gaussians over time: SpacetimeGaussians, 4DGS, PVG."""
+
+_OBJECT_ELEMENT = "vertex_"  # StreetGaussians: one element each for background, sky and the objects obj_NNN
 
 _CHUNK_BYTES = 1 << 18  # rows are read and distributed to the arrays in blocks that fit into the CPU cache
 _CHUNK_LINES = 1024
 _LONGEST_LINE = 1 << 14  # Bytes; a Gaussian of SH degree 3 has some 700
+_MIN_TO_JUDGE = 64  # Gaussians; the range of fewer does not tell logarithms from sizes
 
 _Arrays = tuple[
     Float32[np.ndarray, "n 3"],
@@ -53,7 +68,8 @@ def read_ply(path: Path) -> Gaussians:
     """Read a 3DGS PLY of SH degree 0 to 3, or SuperSplat's compressed PLY, recognized by its header.
 
     Properties may have any order and type, in either byte order or as text; unknown properties and elements are
-    skipped. An infinite logit is an opacity of 1 or 0. Memory: the arrays and one block of 256 KB.
+    skipped. An infinite logit is an opacity of 1 or 0. Of a file with an element for each object, those that stand
+    still are read. Memory: the arrays and one block of 256 KB.
 
     Raises `SceneFormatError` if the file is damaged or is not a file of Gaussians.
     """
@@ -61,7 +77,40 @@ def read_ply(path: Path) -> Gaussians:
         elements = read_ply_header(path, file)
         if is_compressed(elements):
             return read_compressed(path, file, elements)
-        return _read_vertices(path, file, elements, slice(None))
+        still = [each for each in _vertex_elements(path, elements) if not _is_object(each)]
+        return Gaussians.concatenate([_read_vertices(path, file, elements, each).in_file for each in still])
+
+
+def read_ply_scene(path: Path) -> Scene:
+    """Read a PLY as `read_ply` does, with its upward direction and, of StreetGaussians, its parts.
+
+    Background and sky are layers, objects are hidden actors: a PLY has no tracks. Layers far from the origin have
+    their place in `to_scene`, so that doubles lose nothing.
+    """
+    suffix = ".compressed.ply" if path.name.lower().endswith(".compressed.ply") else ".ply"
+    name = printable_name(stem_of(path, suffix))
+    layers: list[Layer] = []
+    actors: list[Actor] = []
+    with open_file(path) as file:
+        elements = read_ply_header(path, file)
+        if is_compressed(elements):
+            vertices = [elements["vertex"]]
+            layers.append(Layer(name, read_compressed(path, file, elements)))
+        else:
+            vertices = _vertex_elements(path, elements)
+            for element in vertices:
+                read = _read_vertices(path, file, elements, element)
+                part = element.name.removeprefix(_OBJECT_ELEMENT) if len(vertices) > 1 else name
+                if _is_object(element):
+                    actors.append(_hidden_actor(part, read.in_file))
+                else:
+                    layers.append(Layer(part, read.gaussians, "sky" if part == "sky" else "background", read.to_scene))
+    if actors:
+        logger.warning("%s: %d objects have no tracks in a PLY: they are hidden actors", path, len(actors))
+    up = vertices[0].up or ((0.0, 0.0, 1.0) if actors else None)  # recorded drives have z up
+    return Scene(
+        name, tuple(layers), tuple(actors), up=up or FILE_UP, up_is_assumed=up is None, unit_is_assumed=not actors
+    )
 
 
 def read_ply_parts(path: Path, rows: int) -> Iterator[Gaussians]:
@@ -73,57 +122,135 @@ def read_ply_parts(path: Path, rows: int) -> Iterator[Gaussians]:
             yield read_ply(path)
             return
         for first in range(0, vertex.rows, rows):
-            yield _read_vertices(path, file, elements, slice(first, first + rows))
+            yield _read_vertices(path, file, elements, vertex, slice(first, first + rows)).in_file
 
 
-def write_ply(gaussians: Gaussians, path: Path) -> None:
+def ply_rows(path: Path) -> int:
+    """Number of Gaussians that the header of a PLY lists, usable ones or not. Raises `SceneFormatError`."""
+    with open_file(path) as file:
+        return sum(each.rows for each in _vertex_elements(path, read_ply_header(path, file)))
+
+
+def write_ply(gaussians: Gaussians, path: Path, origin: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
     """Write the standard 3DGS layout, little endian, with normals of 0; f_rest has 0, 9, 24 or 45 properties.
 
-    Antialiased Gaussians are marked by a comment in the header, which other programs ignore.
+    Means are relative to `origin` and written as doubles if that is not 0. Antialiased Gaussians are marked by a
+    comment in the header, which other programs ignore.
     """
     rest = 3 * (gaussians.sh.shape[1] - 1)
-    names = [*_MEANS, *_NORMALS, *_BASE_SH, *(f"f_rest_{i}" for i in range(rest)), "opacity", *_SCALES, *_QUATERNIONS]
-    properties = "".join(f"property float {name}\n" for name in names)
+    kind = "double" if any(origin) else "float"
+    names = [*_NORMALS, *_BASE_SH, *(f"f_rest_{i}" for i in range(rest)), "opacity", *_SCALES, *_QUATERNIONS]
+    properties = "".join(f"property {kind} {name}\n" for name in _MEANS)
+    properties += "".join(f"property float {name}\n" for name in names)
     mark = f"comment {ANTIALIASED}\n" if gaussians.antialiased else ""
     header = f"ply\nformat binary_little_endian 1.0\n{mark}element vertex {len(gaussians)}\n{properties}end_header\n"
-    rows = max(1, _CHUNK_BYTES // (4 * len(names)))
+    row = np.dtype([("means", "<f8" if any(origin) else "<f4", 3), ("others", "<f4", len(names))])
+    count = max(1, _CHUNK_BYTES // row.itemsize)
     with path.open("wb") as file:
         file.write(header.encode())
-        for start in range(0, len(gaussians), rows):
-            file.write(_rows(gaussians.take(slice(start, start + rows))).data)
+        for start in range(0, len(gaussians), count):
+            part = gaussians.take(slice(start, start + count))
+            rows = np.empty(len(part), row)
+            rows["means"] = part.means + np.array(origin) if any(origin) else part.means
+            rows["others"] = _columns_after_means(part)
+            file.write(rows.tobytes())
 
 
-def _read_vertices(path: Path, file: BufferedReader, elements: dict[str, PlyElement], rows: slice) -> Gaussians:
-    if "vertex" not in elements:
-        found = ", ".join(elements) or "none"
-        raise SceneFormatError(path, f"a PLY of Gaussians has an element 'vertex', not {found}")
-    vertex = elements["vertex"]
+def write_ply_scene(scene: Scene, path: Path) -> None:
+    """Write the flattened scene, at its place in the coordinates of the file that it came from."""
+    write_ply(flatten_scene(scene), path, origin_in_file(scene))
+
+
+class _Vertices(NamedTuple):
+    """Gaussians of one element, relative to a place far from the file's origin, or to that."""
+
+    gaussians: Gaussians
+    offset: Float64[np.ndarray, "3"]
+
+    @property
+    def to_scene(self) -> Float64[np.ndarray, "4 4"]:
+        matrix = np.eye(4)
+        matrix[:3, 3] = self.offset
+        return matrix
+
+    @property
+    def in_file(self) -> Gaussians:
+        return moved_gaussians(self.gaussians, self.offset)
+
+
+def _vertex_elements(path: Path, elements: dict[str, PlyElement]) -> list[PlyElement]:
+    """Elements with Gaussians: `vertex`, or of StreetGaussians one for each part."""
+    if "vertex" in elements:
+        moments = [name for name in elements if name == "time" or name.startswith("delta_vertex_")]
+        if moments:
+            raise SceneFormatError(path, f"its Gaussians change over time (element {moments[0]}): export one moment")
+        return [elements["vertex"]]
+    found = [each for name, each in elements.items() if name.startswith(_OBJECT_ELEMENT)]
+    if not any(not _is_object(each) for each in found):
+        names = ", ".join(elements) or "none"
+        raise SceneFormatError(path, f"a PLY of Gaussians has an element 'vertex', not {names}")
+    return found
+
+
+def _is_object(element: PlyElement) -> bool:
+    return element.name.startswith(f"{_OBJECT_ELEMENT}obj_")
+
+
+def _hidden_actor(name: str, gaussians: Gaussians) -> Actor:
+    """Actor of an object whose origin is the center of its box; ours is the center of its bottom."""
+    length, width, height = (2 * np.abs(gaussians.means).max(axis=0, initial=0)).tolist()
+    raised = moved_gaussians(gaussians, np.array([0, 0, height / 2]))
+    return Actor(name, "object", (length, width, height), raised, PoseTrack.standing(np.eye(4)), visible=False)
+
+
+def _read_vertices(
+    path: Path, file: BufferedReader, elements: dict[str, PlyElement], vertex: PlyElement, rows: slice = slice(None)
+) -> _Vertices:
     if vertex.is_text and vertex.dtype is not None:
         dtype, offset = vertex.dtype, None
     else:
         dtype, offset = element_rows(path, vertex)
-    coefficients = _coefficients(path, dtype, has_faces="face" in elements)
+    layout = _layout_of(path, dtype, has_faces="face" in elements)
     first, last, _ = rows.indices(vertex.rows)
     n = last - first
-    check_room(path, n, coefficients)
+    check_room(path, n, layout.coefficients)
     means, scales, quaternions = (np.empty((n, size), np.float32) for size in (3, 3, 4))
     opacities = np.empty(n, np.float32)
-    sh = np.empty((n, coefficients, 3), np.float32)
+    sh = np.empty((n, layout.coefficients, 3), np.float32)
+    smoothing = np.zeros(n if layout.smoothing else 0, np.float32)
     if offset is not None:
         file.seek(offset + first * dtype.itemsize)
+        blocks = _binary_blocks(path, file, dtype, layout, n)
+    else:
+        _seek_text(file, elements, vertex)
+        blocks = _text_blocks(path, file, dtype, n)
+    place = np.zeros(3)
     # Numbers too large for 32 bits become infinite, and are reported below.
     with np.errstate(over="ignore", invalid="ignore"):
-        arrays = means, scales, quaternions, opacities, sh
-        if offset is not None:
-            _spread_rows(path, file, dtype, arrays)
-        else:
-            _skip_rows_before(file, elements)
-            _spread_lines(path, file, dtype, arrays)
-        check_finite(path, {"logarithm of a scale": scales})
-        np.exp(scales, out=scales)
-        activate_opacities(opacities)
+        start = 0
+        for block, columns in blocks:
+            if block.dtype == np.float64:
+                xyz = [columns[name] for name in layout.names[:3]]
+                if start == 0:
+                    place = far_place(block[:, xyz])
+                block[:, xyz] -= place
+            numbers = block.astype(np.float32, copy=False)
+            indices = np.array([columns[name] for name in layout.names], np.int64)
+            _copy_rows(numbers, indices, (means, scales, quaternions, opacities, sh), start)
+            if layout.smoothing:
+                smoothing[start : start + len(block)] = block[:, columns[layout.smoothing]]
+            start += len(block)
+        if not _are_activated(path, scales, opacities):
+            np.exp(scales, out=scales)
+            activate_opacities(opacities)
+        if layout.is_flat:
+            scales[:, 2] = 0
+        if layout.color_range:
+            sh[:, 0] = sh_from_color(sh[:, 0] / np.float32(layout.color_range))[:, 0]
+        if layout.smoothing:
+            _smooth(scales, opacities, smoothing)
     found = checked_gaussians(path, means, scales, quaternions, opacities, sh)
-    return replace(found, antialiased=vertex.is_antialiased)
+    return _Vertices(replace(found, antialiased=vertex.is_antialiased or bool(layout.smoothing)), place)
 
 
 def activate_opacities(logits: Float32[np.ndarray, " n"]) -> None:
@@ -134,10 +261,58 @@ def activate_opacities(logits: Float32[np.ndarray, " n"]) -> None:
     np.reciprocal(logits, out=logits)
 
 
-def _coefficients(path: Path, dtype: "np.dtype[Any]", *, has_faces: bool) -> int:
-    """Number of spherical harmonics per color, from the names of the properties."""
-    names = dtype.names or ()
-    missing = [name for name in _REQUIRED if name not in names]
+def _are_activated(path: Path, scales: Float32[np.ndarray, "n 3"], opacities: Float32[np.ndarray, " n"]) -> bool:
+    """Return whether scales and opacities are no logarithms and logits, as some programs write them.
+
+    As logarithms, scales all from 0 on, most below 1, would be Gaussians all from 1 to 3 units wide.
+    """
+    if len(scales) < _MIN_TO_JUDGE or not scales.min() >= 0 or not np.median(scales) < 1:
+        return False
+    if not (opacities.min() >= 0 and opacities.max() <= 1):
+        return False
+    logger.warning("%s: its scales are no logarithms, its opacities no logits: both are taken as they are", path)
+    return True
+
+
+def _smooth(
+    scales: Float32[np.ndarray, "n 3"], opacities: Float32[np.ndarray, " n"], smoothing: Float32[np.ndarray, " n"]
+) -> None:
+    """Apply the 3D filter of Mip-Splatting in place: wider Gaussians with the same integral (Yu et al. 2024, eq. 9)."""
+    variances = scales**2
+    filtered = variances + smoothing[:, None] ** 2
+    opacities *= np.sqrt(np.prod(variances / np.maximum(filtered, np.finfo(np.float32).tiny), axis=1))
+    np.sqrt(filtered, out=scales)
+
+
+class _Layout(NamedTuple):
+    """Properties of a row that make up a Gaussian."""
+
+    names: list[str]
+    """In the order of the arrays: means, scales, quaternion, opacity, harmonics of red, green and blue by turns."""
+    coefficients: int
+    is_flat: bool
+    """True without a third scale: the disks of 2DGS (Huang et al. 2024)."""
+    color_range: float
+    """Value of full red, green and blue, where these stand for the harmonics of degree 0; else 0."""
+    smoothing: str | None
+
+
+def _layout_of(path: Path, dtype: "np.dtype[Any]", *, has_faces: bool) -> _Layout:
+    """Find the properties of Gaussians, those of CloudCompare and of nerfstudio's RGB mode, too."""
+    own = dtype.names or ()
+    names = {_PREFIX.sub("", name, count=1): name for name in own} | {name: name for name in own}
+    moving = [name for name in own if _MOVING.fullmatch(name)]
+    if moving:
+        raise SceneFormatError(path, f"its Gaussians change over time (property {moving[0]}): export one moment")
+    base, color_range = _BASE_SH, 0.0
+    waves = sum(re.fullmatch(r"f_dc_\d+", name) is not None for name in names) // 3
+    if waves > 1:  # StreetGaussians: a Fourier series for each channel, whose first term is the mean over time
+        base = tuple(f"f_dc_{channel * waves}" for channel in range(3))
+    elif _BASE_SH[0] not in names and all(name in names for name in _COLORS):
+        base = _COLORS
+        kind = dtype[names[_COLORS[0]]]
+        color_range = float(np.iinfo(kind).max) if kind.kind in "iu" else 1.0
+    missing = [name for name in (*_MEANS, *base, *_REQUIRED[6:]) if name not in names]
     if missing:
         told = f"element 'vertex' has no property {', '.join(missing)}: not a PLY of Gaussians"
         if not any(name in names for name in (*_BASE_SH, *_SCALES, *_QUATERNIONS)):
@@ -149,71 +324,74 @@ def _coefficients(path: Path, dtype: "np.dtype[Any]", *, has_faces: bool) -> int
         raise SceneFormatError(
             path, f"{len(rest)} properties f_rest_*: expected 0, 9, 24 or 45, counted from f_rest_0 (SH degree 0 to 3)"
         )
-    return expected[len(rest)]
+    # The file has all harmonics of red, then of green, of blue.
+    of_color = len(rest) // 3
+    harmonics = [f"f_rest_{channel * of_color + k}" for k in range(of_color) for channel in range(3)]
+    is_flat = _SCALES[2] not in names
+    scales = (*_SCALES[:2], _SCALES[1] if is_flat else _SCALES[2])
+    ours = [*_MEANS, *scales, *_QUATERNIONS, "opacity", *base, *harmonics]
+    return _Layout([names[name] for name in ours], expected[len(rest)], is_flat, color_range, names.get(_SMOOTHING))
 
 
-def _properties(coefficients: int) -> list[str]:
-    """Names of the properties in the order of the arrays; the file has all harmonics of red, then of green, of blue."""
-    rest = coefficients - 1
-    harmonics = [f"f_rest_{channel * rest + k}" for k in range(rest) for channel in range(3)]
-    return [*_MEANS, *_SCALES, *_QUATERNIONS, "opacity", *_BASE_SH, *harmonics]
+_Block = tuple[Float[np.ndarray, "r p"], dict[str, int]]
+"""Numbers of some rows, and the column of each property; doubles unless all of them are 32-bit floats."""
 
 
-def _spread_rows(path: Path, file: BufferedReader, dtype: "np.dtype[Any]", arrays: _Arrays) -> None:
-    """Copy the properties of the file's next rows into arrays, block by block, converted to float32."""
-    count, names = len(arrays[0]), _properties(arrays[4].shape[1])
+def _binary_blocks(
+    path: Path, file: BufferedReader, dtype: "np.dtype[Any]", layout: _Layout, count: int
+) -> Iterator[_Block]:
+    """Read the file's next rows, some at a time, into the same memory."""
     piece = np.empty(min(count, max(1, _CHUNK_BYTES // dtype.itemsize)), dtype)
     places = {name: number for number, name in enumerate(dtype.names or ())}
     is_plain = all(dtype[name] == np.float32 for name in places)
-    columns = np.array([places[name] if is_plain else i for i, name in enumerate(names)], np.int64)
+    used = list(dict.fromkeys((*layout.names, *((layout.smoothing,) if layout.smoothing else ()))))
     for start in range(0, count, len(piece) or 1):
         rows = piece[: count - start]
         if file.readinto(rows.view(np.uint8).data) != rows.nbytes:
             raise SceneFormatError(path, "the file became shorter while it was read")
         if is_plain:
-            numbers = rows.view(np.float32).reshape(len(rows), len(places))
+            yield rows.view(np.float32).reshape(len(rows), len(places)), places
         else:
-            numbers = np.stack([rows[name] for name in names], axis=1, dtype=np.float32, casting="unsafe")
-        _copy_rows(numbers, columns, arrays, start)
+            numbers = np.stack([rows[name] for name in used], axis=1, dtype=np.float64, casting="unsafe")
+            yield numbers, {name: number for number, name in enumerate(used)}
 
 
-def _skip_rows_before(file: BufferedReader, elements: dict[str, PlyElement]) -> None:
+def _seek_text(file: BufferedReader, elements: dict[str, PlyElement], vertex: PlyElement) -> None:
+    """Go to the first row of an element of text."""
+    file.seek(vertex.header_bytes)
     for element in elements.values():
-        if element.name == "vertex":
+        if element.name == vertex.name:
             return
         for _ in range(element.rows):
             if not file.readline(_LONGEST_LINE):
                 return
 
 
-def _spread_lines(path: Path, file: BufferedReader, dtype: "np.dtype[Any]", arrays: _Arrays) -> None:
-    """Copy the numbers of the next lines of text into arrays, block by block."""
-    count, names = len(arrays[0]), list(dtype.names or ())
-    columns = np.array([names.index(name) for name in _properties(arrays[4].shape[1])], np.int64)
+def _text_blocks(path: Path, file: BufferedReader, dtype: "np.dtype[Any]", count: int) -> Iterator[_Block]:
+    """Read the numbers of the next lines of text, some at a time."""
+    places = {name: number for number, name in enumerate(dtype.names or ())}
     for start in range(0, count, _CHUNK_LINES):
         lines = [
             file.readline(_LONGEST_LINE).decode("ascii", "replace") for _ in range(min(_CHUNK_LINES, count - start))
         ]
         for number, line in enumerate(lines, start):
-            if len(line.split()) != len(names):
+            if len(line.split()) != len(places):
                 found = len(line.split())
                 raise SceneFormatError(
-                    path, f"vertex {number}: {found} numbers in its line, its header lists {len(names)}"
+                    path, f"vertex {number}: {found} numbers in its line, its header lists {len(places)}"
                 )
         try:
-            numbers = np.loadtxt(lines, np.float64, comments=None, ndmin=2).astype(np.float32)
+            yield np.loadtxt(lines, np.float64, comments=None, ndmin=2), places
         except ValueError:
             raise SceneFormatError(path, f"vertices {start} to {start + len(lines) - 1}: a word is no number") from None
-        _copy_rows(numbers, columns, arrays, start)
 
 
-def _rows(gaussians: Gaussians) -> Float32[np.ndarray, "n p"]:
+def _columns_after_means(gaussians: Gaussians) -> Float32[np.ndarray, "n p"]:
     n = len(gaussians)
     opacities = gaussians.opacities.astype(np.float64)
     with np.errstate(divide="ignore"):
         logits = np.clip(np.log(opacities) - np.log1p(-opacities), -_LARGEST_LOGIT, _LARGEST_LOGIT)
     columns = (
-        gaussians.means,
         np.zeros((n, 3)),
         gaussians.sh[:, 0],
         gaussians.sh[:, 1:].transpose(0, 2, 1).reshape(n, -1),

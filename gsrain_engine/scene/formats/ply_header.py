@@ -19,6 +19,12 @@ _DIGITS = 20  # maximum digits of a count: more than any file needs, and quick t
 _TEXT = "ascii"
 _BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", _TEXT: "<"}
 
+_UPS = {
+    "x": (1.0, 0.0, 0.0), "z": (0.0, 0.0, 1.0),
+    "-x": (-1.0, 0.0, 0.0), "-y": (0.0, -1.0, 0.0), "-z": (0.0, 0.0, -1.0),
+}  # fmt: skip
+"""Values of nerfstudio's comment `Vertical Axis:`. "y" is missing: Brush wrote it into files of any orientation."""
+
 _TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1",
     "short": "i2", "int16": "i2", "ushort": "u2", "uint16": "u2",
@@ -40,6 +46,10 @@ class PlyElement(NamedTuple):
     """True if its rows are lines of text; the fields then give only the columns."""
     is_antialiased: bool = False
     """True if the header has the comment of `ANTIALIASED`."""
+    header_bytes: int = 0
+    """Byte offset of the file's first row."""
+    up: tuple[float, float, float] | None = None
+    """Upward direction by a comment of the header; None if it has none that can be trusted."""
 
     @property
     def nbytes(self) -> int:
@@ -58,12 +68,20 @@ def read_ply_header(path: Path, file: BinaryIO) -> dict[str, PlyElement]:
     kind = _format(path, lines)
     elements = _elements(path, lines, _BYTE_ORDERS[kind], size)
     if kind == _TEXT:
-        elements = [element._replace(is_text=True, offset=None) for element in elements]
+        elements = [element._replace(is_text=True, offset=None, header_bytes=size) for element in elements]
         file.seek(size)
     if any(words == ["comment", *mark.split()] for words in lines for mark in (ANTIALIASED, "antialiased 1")):
         elements = [element._replace(is_antialiased=True) for element in elements]
+    ups = [_UPS[words[3].lower()] for words in lines if _names_up(words)]
+    if ups:
+        elements = [element._replace(up=ups[-1]) for element in elements]
     _check_size(path, elements, size, os.fstat(file.fileno()).st_size)
     return {element.name: element for element in elements}
+
+
+def _names_up(words: list[str]) -> bool:
+    *start, value = [word.lower() for word in words[:4]] or [""]
+    return start == ["comment", "vertical", "axis:"] and value in _UPS
 
 
 def element_rows(path: Path, element: PlyElement) -> tuple["np.dtype[Any]", int]:

@@ -13,16 +13,16 @@ from typing import TypeVar
 import numpy as np
 
 from ...plugins import SCENE_FORMATS, Extension, ExtensionError, find_extensions
-from ...safe_io.limits import kind_of_file
+from ...safe_io.file_kinds import kind_of_file
 from ..files import SceneFormatError, whole_file
 from ..gaussians import Gaussians
 from ..scene import Scene
-from ..transforms import flatten_scene, lost_when_flattened
+from ..transforms import flatten_scene, lost_far_out, lost_when_flattened
 from ._common import Format, check_finite, checked_gaussians
 from .compressed_ply import write_compressed
-from .gltf import read_glb, write_glb
+from .gltf import read_gltf, read_gltf_scene, write_glb, write_glb_scene
 from .ksplat import read_ksplat, read_splat, write_ksplat, write_splat
-from .ply import read_ply, write_ply
+from .ply import read_ply, read_ply_scene, write_ply, write_ply_scene
 from .sog import read_sog
 from .sog_writer import write_sog
 from .spz import read_spz, write_spz
@@ -36,6 +36,7 @@ FORMATS = (
         read_ply,
         write_compressed,
         "SuperSplat's: 16 bytes per Gaussian plus its harmonics, in Morton order",
+        read_scene=read_ply_scene,
     ),
     Format(
         ".ply",
@@ -43,6 +44,9 @@ FORMATS = (
         write_ply,
         "3D Gaussian Splatting, lossless, SH degree 0 to 3; ignores other properties. "
         "A comment marks antialiased Gaussians: `SplatRenderMode: mip` (Brush) or `antialiased 1` (Postshot)",
+        read_scene=read_ply_scene,
+        write_scene=write_ply_scene,
+        lost=lost_far_out,
     ),
     Format(".splat", read_splat, write_splat, "32 bytes per Gaussian, no view-dependent color", 0),
     Format(".spz", read_spz, write_spz, "Niantic's, versions 1 to 4; version 4 is written"),
@@ -57,9 +61,12 @@ FORMATS = (
     Format(".sog", read_sog, write_sog, "PlayCanvas' images in a zip file; version 2 is written"),
     Format(
         ".glb",
-        read_glb,
+        read_gltf,
         write_glb,
         "binary glTF with `KHR_gaussian_splatting`, lossless; reads `KHR_gaussian_splatting_compression_spz_2`, too",
+        read_scene=read_gltf_scene,
+        write_scene=write_glb_scene,
+        lost=lost_far_out,
     ),
     Format(
         ".usdz",
@@ -71,7 +78,10 @@ FORMATS = (
         write_scene=write_usdz_scene,
         lost=lost_in_usdz,
     ),
-    Format("meta.json", read_sog, None, "PlayCanvas' images in a folder"),
+    Format(
+        ".gltf", read_gltf, None, "the same as text, with its buffers in it or next to it", read_scene=read_gltf_scene
+    ),
+    Format("meta.json", read_sog, None, "PlayCanvas' images in a folder; of a `lod-meta.json`, the finest level"),
 )
 """Built-in formats; `scene_suffixes` includes those of installed packages.
 
@@ -101,7 +111,7 @@ def writable_suffixes() -> tuple[str, ...]:
 
 def unknown_format(path: Path) -> str:
     """Error text for the name of a file of no known format, without that name."""
-    return f"no known scene format: the name must end in {_listed(scene_suffixes())}{_slip(path) or _instead(path)}"
+    return f"no known scene format: the name must end in {_listed(scene_suffixes())}{_instead(path) or _slip(path)}"
 
 
 def read_gaussians(path: Path) -> Gaussians:

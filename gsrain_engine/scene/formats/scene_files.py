@@ -4,9 +4,9 @@ import re
 from pathlib import Path
 
 from ..files import SceneFormatError, visible_siblings
-from ..gaussians import Gaussians
-from ..scene import Layer, Scene
-from ..transforms import FILE_UP
+from ..scene import Scene
+from ..transforms import recentered
+from ._common import single_layer, stem_of
 from .hugsim import is_hugsim_folder, read_hugsim
 from .registry import close_match, format_of, read_scene_file, write_scene_file
 from .scene_folder import SCENE_FILE, FileCache, read_scene_folder, write_scene_folder
@@ -78,11 +78,14 @@ def _read(path: Path, known: FileCache | None) -> Scene:
         path = path.parent
     if not path.is_dir():
         found = read_scene_file(path)
-        return found if isinstance(found, Scene) else _single_layer(_stem(path), found)
+        if isinstance(found, Scene):
+            return recentered(found)
+        row = format_of(path)
+        return recentered(single_layer(stem_of(path, row.suffix if row else ""), found))
     if (path / SCENE_FILE).is_file():
         return read_scene_folder(path, known)
     if is_sog_folder(path):
-        return _single_layer(path.resolve().name, read_sog(path))
+        return recentered(single_layer(path.resolve().name, read_sog(path)))
     if is_hugsim_folder(path):
         return read_hugsim(path)
     if (path / INNER_SCENE / SCENE_FILE).is_file():
@@ -116,14 +119,3 @@ def _sibling_file(path: Path) -> str:
         return close_match(path.name, visible_siblings(path))
     except OSError:
         return ""
-
-
-def _single_layer(name: str, gaussians: Gaussians) -> Scene:
-    name = name.encode(errors="replace").decode()  # names that are not UTF-8 can't be saved as JSON
-    return Scene(name, layers=(Layer(name, gaussians),), up=FILE_UP, unit_is_assumed=True)
-
-
-def _stem(path: Path) -> str:
-    """Name of a file without the suffix of its format; for a file named only by a suffix, its folder's name."""
-    row = format_of(path)
-    return path.name[: -len(row.suffix)] if row and len(path.name) > len(row.suffix) else path.resolve().parent.name

@@ -27,7 +27,7 @@ from ..mapped_arrays import map_arrays
 from ..scene import Actor, Layer, Scene
 from ._common import check_finite
 from .lod_file import read_lod_tree, write_lod_tree
-from .ply import write_ply
+from .ply import ply_rows, write_ply
 from .registry import check_writable, read_gaussians
 from .scene_json import SCENE_VERSION, SceneRecord, record_of, scene_of
 
@@ -346,7 +346,12 @@ def _mapped_trees(files: Iterable[Path]) -> dict[Path, LodTree]:
 
 
 def _gaussians_of(file: Path, trees: dict[Path, LodTree]) -> Gaussians:
-    return trees[file].gaussians if file in trees else read_gaussians(file)
+    if file in trees:
+        return trees[file].gaussians
+    gaussians = read_gaussians(file)
+    if file.suffix == ".ply" and len(gaussians) != ply_rows(file):
+        raise SceneFormatError(file, "has unusable Gaussians: without them, masks and wet colors would fit no more")
+    return gaussians
 
 
 def _kind(member: Layer | Actor) -> str:

@@ -23,10 +23,11 @@ from ..lens import Lens
 from ..rolling_shutter import ReadoutDirection
 from ..scene import UNCHANGED, Actor, ColorGrading, Layer, PoseTrack, RigCamera, Scene
 
-SCENE_VERSION = 7
+SCENE_VERSION = 8
 """Incremented when a field is added. The default of each field is its meaning in older files, which stay readable.
 
-Version 7 adds lenses and rolling shutters of rig cameras; a scene without any is written as version 6.
+Version 7 adds lenses and rolling shutters of rig cameras, version 8 the origin and whether the upward direction is
+assumed; a scene is written as the lowest version, from 6 on, that has its fields.
 """
 
 Row = tuple[float, float, float, float]
@@ -162,6 +163,8 @@ class SceneRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     metres_per_unit: Positive = 1.0
     unit_is_assumed: bool = False
     up: Vector = (0.0, 0.0, 1.0)
+    up_is_assumed: bool | msgspec.UnsetType = msgspec.UNSET
+    origin: Vector | msgspec.UnsetType = msgspec.UNSET
     ground_m: float | None = None
     layers: list[LayerRecord] = []
     actors: list[ActorRecord] = []
@@ -197,8 +200,11 @@ def record_of(
 ) -> SceneRecord:
     """Plain values of a scene with the files of its layers, then actors, and of their wet colors."""
     names, wet_names = iter(files), iter(wet_files or [None] * len(files))
+    placed = {"up_is_assumed": True} if scene.up_is_assumed else {}
+    placed |= {"origin": scene.origin} if any(scene.origin) else {}
     return SceneRecord(
-        version=SCENE_VERSION if any(each.is_bent for rig in scene.rigs.values() for each in rig) else 6,
+        version=8 if placed else 7 if any(each.is_bent for rig in scene.rigs.values() for each in rig) else 6,
+        **placed,
         **_fields(scene, _SCENE),
         layers=[_layer_record(layer, next(names), next(wet_names)) for layer in scene.layers],
         actors=[_actor_record(actor, next(names), next(wet_names)) for actor in scene.actors],
@@ -231,8 +237,11 @@ def scene_of(record: SceneRecord, gaussians: list[Gaussians], wet: Sequence[WetC
         _actor(each, next(given), next(wet_given), f"`$.actors[{i}]") for i, each in enumerate(record.actors)
     )
     counts = {each.key: len(each.gaussians) for each in (*layers, *actors)}
+    if record.origin is not msgspec.UNSET and not np.isfinite(record.origin).all():
+        raise ValueError(f"`$.origin` must be a place, not {list(record.origin)}")
     return Scene(
         **_fields(record, _SCENE),
+        **_given(record, ("up_is_assumed", "origin")),
         layers=layers,
         actors=actors,
         rigs={name: tuple(_camera(camera, name) for camera in cameras) for name, cameras in record.rigs.items()},
@@ -287,6 +296,11 @@ def _fields(source: object, names: Sequence[str]) -> dict[str, Any]:
     return {name: getattr(source, name) for name in names}
 
 
+def _given(record: object, names: Sequence[str]) -> dict[str, Any]:
+    """Fields that a file has, of those that it may leave out."""
+    return {name: value for name, value in _fields(record, names).items() if value is not msgspec.UNSET}
+
+
 def _rows(matrix: Float64[np.ndarray, "4 4"]) -> Matrix:
     a, b, c, d = (tuple(row) for row in matrix.tolist())
     return a, b, c, d
@@ -319,8 +333,7 @@ def _camera(record: CameraRecord, rig: str) -> RigCamera:
     matrix = np.array(record.camera_to_ego, np.float64)
     if not _is_pose(matrix):
         raise ValueError(f"camera_to_ego of camera {record.name!r} must be a rotation and a place - at `$.rigs.{rig}`")
-    optional = _fields(record, ("lens", "readout_s", "readout_direction"))
-    given = {name: value for name, value in optional.items() if value is not msgspec.UNSET}
+    given = _given(record, ("lens", "readout_s", "readout_direction"))
     if isinstance(record.lens, Lens):
         record.lens.check_drawable()
     return RigCamera(camera_to_ego=matrix, **_fields(record, _CAMERA), **given)

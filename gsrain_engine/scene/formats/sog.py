@@ -17,6 +17,7 @@ from jaxtyping import Float32, UInt8
 from msgspec import Meta
 from PIL import Image
 
+from ...safe_io.errors import readable_validation_error
 from ...safe_io.limits import TooLargeError, read_file
 from ..files import SceneFormatError
 from ..gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
@@ -24,6 +25,8 @@ from ._common import check_expansion, checked_gaussians, with_largest
 from .stored_zip import open_zip, read_member
 
 _META = "meta.json"
+_STREAMED_META = "lod-meta.json"
+_STREAMED_META_BYTES = 2**26  # a tree with a node for some thousand Gaussians
 _META_BYTES = 2**20  # three codebooks of 256 numbers take 16 KB
 _SPARE_PIXELS = 2**16  # maximum excess of pixels over Gaussians in an image; writers pad the last rows
 _PALETTE_COLUMNS = 64
@@ -33,7 +36,9 @@ ReadMember = Callable[[str, int], bytes]
 
 
 def is_sog_folder(folder: Path) -> bool:
-    """Return whether a folder's `meta.json` describes a SOG scene: a JSON object with the field of the means."""
+    """Return whether a folder has a streamed SOG scene, or its `meta.json` describes one: it has the field of means."""
+    if (folder / _STREAMED_META).is_file():
+        return True
     try:
         values = json.loads(read_file(folder / _META, _META_BYTES))
     except (OSError, ValueError, RecursionError):
@@ -44,8 +49,11 @@ def is_sog_folder(folder: Path) -> bool:
 def read_sog(path: Path) -> Gaussians:
     """Read a SOG scene, version 1 or 2: a `.sog` (a zip), a folder with `meta.json` and its images, or that file.
 
-    Raises `SceneFormatError` if it is incomplete, damaged or implausibly large.
+    Of a streamed scene (`lod-meta.json` and its folder), the finest level is read, and its environment. Raises
+    `SceneFormatError` if it is incomplete, damaged or implausibly large.
     """
+    if path.name.lower() == _STREAMED_META or (path.is_dir() and (path / _STREAMED_META).is_file()):
+        return _read_streamed(path if path.is_dir() else path.parent)
     if path.is_dir() or path.name.lower() == _META:
         folder = path if path.is_dir() else path.parent
         file_bytes = sum(file.stat().st_size for file in folder.glob("*.webp"))
@@ -54,6 +62,64 @@ def read_sog(path: Path) -> Gaussians:
     archive = open_zip(path, data)
     with archive:
         return _decode(path, lambda name, most: read_member(path, archive, name, most), len(data))
+
+
+class _Span(msgspec.Struct, frozen=True):
+    """Gaussians of one file of a streamed scene."""
+
+    file: Annotated[int, Meta(ge=0)]
+    offset: Annotated[int, Meta(ge=0)]
+    count: Annotated[int, Meta(ge=0)]
+
+
+class _Node(msgspec.Struct, frozen=True):
+    children: list["_Node"] = []
+    lods: dict[str, _Span] = {}
+    """By level, of which 0 is the finest."""
+
+
+class _StreamedMeta(msgspec.Struct, frozen=True):
+    filenames: list[str]
+    tree: _Node
+    environment: str | None = None
+
+
+def _read_streamed(folder: Path) -> Gaussians:
+    """Read the finest level of each leaf of a streamed scene, as splat-transform writes them, and its environment."""
+    path = folder / _STREAMED_META
+    try:
+        meta = msgspec.json.decode(read_file(path, _STREAMED_META_BYTES), type=_StreamedMeta)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise SceneFormatError(path, readable_validation_error(error, _StreamedMeta)) from None
+    spans: dict[int, list[_Span]] = {}
+    waiting = [meta.tree]
+    while waiting:
+        node = waiting.pop()
+        waiting += reversed(node.children)
+        if node.lods and not node.children:
+            finest = min(node.lods, key=lambda level: (not level.isdecimal(), int(level) if level.isdecimal() else 0))
+            spans.setdefault(node.lods[finest].file, []).append(node.lods[finest])
+    parts: list[Gaussians] = []
+    for number, of_file in sorted(spans.items()):
+        if number >= len(meta.filenames):
+            raise SceneFormatError(path, f"its tree names file {number}, filenames has {len(meta.filenames)}")
+        found = read_sog(_part_of(folder, meta.filenames[number]))
+        if any(span.offset + span.count > len(found) for span in of_file):
+            told = f"its tree names Gaussians beyond the {len(found)} of {meta.filenames[number]}"
+            raise SceneFormatError(path, told)
+        parts += [found.take(slice(span.offset, span.offset + span.count)) for span in of_file]
+    if meta.environment:
+        parts.append(read_sog(_part_of(folder, meta.environment)))
+    return Gaussians.concatenate(parts)
+
+
+def _part_of(folder: Path, name: str) -> Path:
+    """File of a streamed scene; it must be a SOG scene in a folder below that of the scene."""
+    part = folder / name
+    is_sog = part.name == _META or part.suffix == ".sog"
+    if "\0" in name or not is_sog or not part.resolve().is_relative_to(folder.resolve()):
+        raise SceneFormatError(folder / _STREAMED_META, f"{name[:80]!r} must be a meta.json or .sog below its folder")
+    return part
 
 
 def _folder_member(path: Path, file: Path, most: int) -> bytes:
@@ -239,6 +305,7 @@ def read_meta(path: Path, text: bytes) -> SogMeta:
 
     Raises `SceneFormatError` that names the field, as in ``Expected `int` - at `$.count` ``.
     """
+    version = 2
     try:
         version = msgspec.json.decode(text, type=_SogVersion).version
         if version == 1:
@@ -246,7 +313,8 @@ def read_meta(path: Path, text: bytes) -> SogMeta:
         if version == 2:
             return _from_version_2(path, msgspec.json.decode(text, type=_SogVersion2))
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise SceneFormatError(path, f"meta.json: {error}") from None
+        kind = _SogVersion1 if version == 1 else _SogVersion2
+        raise SceneFormatError(path, f"meta.json: {readable_validation_error(error, kind)}") from None
     raise SceneFormatError(path, f"meta.json: version {version} of SOG can't be read, versions 1 and 2 can")
 
 

@@ -1,5 +1,6 @@
 """SPZ scenes (Niantic Labs, https://github.com/nianticlabs/spz), versions 1 to 4; written as version 4."""
 
+import logging
 import struct
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,6 +13,7 @@ from ...safe_io.limits import read_file
 from ..files import SceneFormatError
 from ..gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
 from ._common import (
+    COARSE_SHARE,
     check_plausible,
     check_room,
     checked_gaussians,
@@ -23,6 +25,7 @@ from ._common import (
     without_largest,
 )
 
+logger = logging.getLogger("gsrain")
 _MAGIC = b"NGSP"
 _GZIP_MAGIC = b"\x1f\x8b"
 _HEADER = struct.Struct("<4sIIBBBB")
@@ -43,6 +46,9 @@ _ZSTD_LEVEL = 9  # 19 saves 1 % and takes ten times as long
 
 _FRACTIONAL_BITS = 23  # maximum for a 24-bit fixed-point coordinate with sign
 _WRITTEN_FRACTIONAL_BITS = 16  # finest step written: 15 micrometers for a scene in meters
+_BITS = range(_WRITTEN_FRACTIONAL_BITS, -1, -1)
+_LARGEST_FIXED = (1 << 23) - 1
+_FEW = 0.01  # share of Gaussians that may be moved closer
 _COLOR_SCALE = 0.15  # SPZ stores sh[0] * 0.15 + 0.5 as color, so that the range is -0.44 to 1.44 instead of 0 to 1
 _POINT_FLIP = np.array([1, -1, -1], np.float32)
 _XYZW_FLIP = np.array([1, -1, -1, 1], np.float32)
@@ -130,11 +136,12 @@ def encode_spz(gaussians: Gaussians) -> bytes:
 
     Harmonics keep 8 bits and means up to 16 fractional bits, more than in Niantic's own writer, in files that are
     larger by a third: the step is 1/128 for harmonics, 1/16 for log scales. Values outside SPZ's ranges are clamped:
-    scales to e^-10 .. e^5.9, harmonics above degree 0 to -1 .. 127/128.
+    scales to e^-10 .. e^5.9, harmonics above degree 0 to -1 .. 127/128. All means have one step; a few that are so far
+    out that it would show are moved towards the origin and made smaller, so that they look the same from there.
 
     Raises `ValueError` if a mean is not finite or farther out than 2^23 units.
     """
-    fractional_bits = _fitting_fractional_bits(gaussians.means)
+    gaussians, fractional_bits = _with_step(gaussians)
     streams = [
         _encode_means(gaussians.means, fractional_bits),
         rounded_bytes(gaussians.opacities * 255).tobytes(),
@@ -275,12 +282,33 @@ def _decode_quaternions(header: _SpzHeader, stream: bytes) -> Float32[np.ndarray
     return np.ascontiguousarray((xyzw * _XYZW_FLIP)[:, [3, 0, 1, 2]])  # indexing by columns gives a column-major array
 
 
-def _fitting_fractional_bits(means: Float32[np.ndarray, "n 3"]) -> int:
-    reach = float(np.abs(means).max()) if means.size else 0.0
-    for bits in range(_WRITTEN_FRACTIONAL_BITS, -1, -1):
-        if reach * (1 << bits) < (1 << 23) - 1:
-            return bits
-    raise ValueError(f"SPZ holds means up to {(1 << 23) - 1} units from the origin, not {reach:g}")
+def _with_step(gaussians: Gaussians) -> tuple[Gaussians, int]:
+    """Gaussians that fit, and the fractional bits of the finest step for them; see `encode_spz`."""
+    if not len(gaussians):
+        return gaussians, _WRITTEN_FRACTIONAL_BITS
+    reaches = np.abs(gaussians.means).max(axis=1)
+    size = float(np.median(gaussians.scales.max(axis=1)))
+    bits = next((bits for bits in _BITS if float(reaches.max()) * (1 << bits) < _LARGEST_FIXED), None)
+    fine = min((bits for bits in _BITS if 2.0**-bits <= COARSE_SHARE * size), default=_WRITTEN_FRACTIONAL_BITS)
+    if bits is not None and bits >= fine:
+        return gaussians, bits
+    if not np.isfinite(reaches).all():
+        raise ValueError(f"SPZ holds means up to {_LARGEST_FIXED} units from the origin, not infinite ones or NaN")
+    limit = (_LARGEST_FIXED - 1) / (1 << fine)
+    far = np.flatnonzero(reaches > limit)
+    if len(far) <= _FEW * len(gaussians):
+        told = "SPZ: %d of %d Gaussians farther than %.4g units out were moved closer, at the same apparent size"
+        logger.warning(told, len(far), len(gaussians), limit)
+        means, scales = gaussians.means.copy(), gaussians.scales.copy()
+        factors = (limit / reaches[far]).astype(np.float32)[:, None]
+        means[far] *= factors
+        scales[far] *= factors
+        return replace(gaussians, means=means, scales=scales), fine
+    if bits is None:
+        raise ValueError(f"SPZ holds means up to {_LARGEST_FIXED} units from the origin, not {reaches.max():g}")
+    told = "SPZ: means are in steps of %.3g units, most Gaussians are %.3g wide: a .ply or .glb is exact"
+    logger.warning(told, 2.0**-bits, size)
+    return gaussians, bits
 
 
 def _encode_means(means: Float32[np.ndarray, "n 3"], fractional_bits: int) -> bytes:

@@ -27,7 +27,7 @@ from ..files import SceneFormatError
 from ..gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
 from ..geometry import quaternions_from_matrices
 from ..scene import Actor, Layer, PoseTrack, RigCamera, Scene, is_sky
-from ..transforms import FILE_UP, bake_item, flatten_scene, transform_gaussians
+from ..transforms import FILE_UP, bake_item, flatten_scene, lost_far_out, transform_gaussians
 from ._common import check_room, checked_gaussians
 from .nurec import METADATA, nurec_files, scene_id_in
 from .stored_zip import open_zip, read_member, write_stored_zip
@@ -210,10 +210,6 @@ def _similarity(path: Path, name: str, values: list[list[float]]) -> Float64[np.
 
 def _gaussians_of(path: Path, field: dict[str, Any], folder: Path) -> Gaussians:
     arrays = [np.load(folder / f"{field['index']}.{name}.npy", allow_pickle=False) for name in ARRAYS]
-    outside = np.flatnonzero((arrays[3] < 0) | (arrays[3] > 1))
-    if len(outside):
-        told = f"{len(outside)} of {len(arrays[3])} Gaussians have an opacity outside 0 to 1"
-        raise SceneFormatError(path, f"{told}, the first is number {outside[0]}")
     return replace(checked_gaussians(path, *arrays), antialiased=field["antialiased"])
 
 
@@ -269,6 +265,9 @@ def _write_stage(scene: Scene, file: Path) -> None:
     stage.SetTimeCodesPerSecond(_CODES_PER_SECOND)
     stage.SetFramesPerSecond(_CODES_PER_SECOND)
     world = UsdGeom.Xform.Define(stage, "/World")
+    if any(scene.origin):
+        place = scene.scene_to_world[:3, :3] @ np.array(scene.origin)
+        world.AddTranslateOp(UsdGeom.XformOp.PrecisionDouble).Set(Gf.Vec3d(*place.tolist()))
     stage.SetDefaultPrim(world.GetPrim())
     names = _PrimNames()
     tracks = [actor.track for actor in scene.actors if actor.visible] + ([scene.ego] if scene.ego else [])
@@ -395,5 +394,6 @@ def _write_camera(stage: Any, path: str, camera: RigCamera) -> None:
 
 def lost_in_usdz(lost: list[str]) -> list[str]:
     """Select from phrases of `lost_when_flattened` those that apply to a `.usdz`."""
+    lost = lost_far_out(lost)
     kept = ("ego vehicle", "rig camera", "the division into", "which layer is the sky", "actor")
     return [phrase for phrase in lost if "hidden" in phrase or not any(word in phrase for word in kept)]

@@ -1,5 +1,6 @@
 """Random Gaussians, and small files of every scene format and version, also of those that GSRAIN does not write."""
 
+import base64
 import gzip
 import io
 import json
@@ -244,6 +245,15 @@ def written(gaussians: Gaussians, suffix: str) -> bytes:
         return file.read_bytes()
 
 
+def gltf(gaussians: Gaussians, uri: str | None = None) -> bytes:
+    """The description of a `.glb` as text, with its buffer as data unless that is a file."""
+    data = written(gaussians, ".glb")
+    length = struct.unpack_from("<I", data, 12)[0]
+    values = json.loads(data[20 : 20 + length])
+    values["buffers"][0]["uri"] = uri or "data:;base64," + base64.b64encode(data[28 + length :]).decode()
+    return json.dumps(values).encode()
+
+
 _SMALL = sample_gaussians(7, 1)
 
 SMALL_FILES: dict[str, tuple[str, Callable[[], bytes]]] = {
@@ -260,6 +270,7 @@ SMALL_FILES: dict[str, tuple[str, Callable[[], bytes]]] = {
     "ksplat-2": ("a.ksplat", lambda: ksplat([sample_gaussians(40, 1), sample_gaussians(9, 2)], 2)[1]),
     "sog-1": ("a.sog", lambda: zipped(sog_version_1(sog_scene()[0]), sog_scene()[1])),
     "sog-2": ("a.sog", lambda: zipped(*sog_scene()[:2])),
+    "gltf": ("a.gltf", lambda: gltf(_SMALL)),
 }
 """Name of a file, and its content; formats below that GSRAIN writes need no row."""
 for _suffix in writable_suffixes():

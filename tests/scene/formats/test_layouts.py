@@ -1,16 +1,19 @@
 """Values lie where each format has them: files written by their specifications, and ours read without our readers."""
 
 import gzip
+import json
 import re
 import struct
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from gsrain_engine.scene.files import SceneFormatError
 from gsrain_engine.scene.formats.registry import read_gaussians
+from gsrain_engine.scene.formats.scene_files import read_scene
 from gsrain_engine.scene.formats.spz import encode_spz
 from gsrain_engine.scene.gaussians import SH_C0, Gaussians
 
@@ -19,6 +22,7 @@ from .sample_files import (
     SOG_COUNT,
     assert_equal,
     compressed,
+    gltf,
     ksplat,
     old_spz,
     sample_gaussians,
@@ -252,6 +256,46 @@ def test_loose_files_of_sog_must_be_there(tmp_path: Path) -> None:
         read_gaussians(tmp_path / "meta.json")
 
 
+def streamed_sog(folder: Path, **changes: Any) -> Path:
+    """A streamed scene whose finest level is one file and a part of another."""
+    for name in ("0_0", "0_1", "1_0", "env"):
+        (folder / name).mkdir(parents=True, exist_ok=True)
+        write_sog_folder(folder / name)
+    leaves: list[Any] = [
+        {"lods": {"1": {"file": 2, "offset": 0, "count": 5}, "0": {"file": 0, "offset": 0, "count": SOG_COUNT}}},
+        {"lods": {"0": {"file": 1, "offset": 3, "count": 4}}},
+        {"lods": {"1": {"file": 2, "offset": 5, "count": 2}}},
+    ]
+    meta: dict[str, Any] = {"lodLevels": 2, "filenames": [f"{name}/meta.json" for name in ("0_0", "0_1", "1_0")]}
+    meta |= {"tree": {"children": [leaves[0], {"children": leaves[1:]}]}, "environment": "env/meta.json"}
+    (folder / "lod-meta.json").write_text(json.dumps(meta | changes))
+    return folder
+
+
+def test_a_streamed_sog_is_its_finest_level_and_its_environment(tmp_path: Path) -> None:
+    folder = streamed_sog(tmp_path / "streamed")
+    whole = read_gaussians(folder / "0_0" / "meta.json")
+    parts = [whole, whole.take(slice(3, 7)), whole.take(slice(5, 7)), whole]
+    for name in (folder, folder / "lod-meta.json"):
+        (layer,) = read_scene(name).layers
+        assert_equal(layer.gaussians, Gaussians.concatenate(parts))
+
+
+@pytest.mark.parametrize(
+    ("changes", "what"),
+    [
+        ({"filenames": ["0_0/meta.json"]}, "names file 1"),
+        ({"filenames": ["../0_0/meta.json", "0_1/meta.json", "1_0/meta.json"]}, "'../0_0/meta.json'"),
+        ({"filenames": ["/etc/passwd", "0_1/meta.json", "1_0/meta.json"]}, "'/etc/passwd'"),
+        ({"tree": {"lods": {"0": {"file": 0, "offset": SOG_COUNT, "count": 1}}}}, "beyond"),
+        ({"tree": 5}, "tree"),
+    ],
+)
+def test_what_is_wrong_with_a_streamed_sog_is_named(changes: dict[str, Any], what: str, tmp_path: Path) -> None:
+    with pytest.raises(SceneFormatError, match=rf"lod-meta\.json: .*{what}"):
+        read_scene(streamed_sog(tmp_path / "streamed", **changes))
+
+
 def test_a_codebook_of_sog_that_starts_with_null(tmp_path: Path) -> None:
     meta, files, raw = sog_scene(0)
     raw["sh0"][0, :3] = 0
@@ -260,3 +304,43 @@ def test_a_codebook_of_sog_that_starts_with_null(tmp_path: Path) -> None:
     step = 4 / 255
     g = read_bytes(tmp_path, "a.sog", zipped(meta, files))
     np.testing.assert_allclose(g.sh[0, 0], -2 + step - (4 - step) / 255, atol=1e-5)
+
+
+# glTF
+
+
+def test_the_draft_of_the_extension_has_colors_for_harmonics(tmp_path: Path) -> None:
+    before = sample_gaussians(9, 0)
+    values = json.loads(gltf(before))
+    attributes = values["meshes"][0]["primitives"][0]["attributes"]
+    ours = {"_SCALE": "SCALE", "_ROTATION": "ROTATION"}
+    draft = {name: attributes[f"KHR_gaussian_splatting:{own}"] for name, own in ours.items()}
+    draft |= {name: attributes[name] for name in ("POSITION", "COLOR_0")}
+    values["meshes"][0]["primitives"][0]["attributes"] = draft
+    found = read_bytes(tmp_path, "a.gltf", json.dumps(values).encode())
+    np.testing.assert_allclose(found.means, before.means)
+    np.testing.assert_allclose(found.scales, before.scales)
+    np.testing.assert_allclose(found.opacities, before.opacities, atol=0.51 / 255)
+
+
+def test_buffers_of_gltf_are_in_the_text_or_next_to_it(tmp_path: Path) -> None:
+    before = sample_gaussians(9, 2)
+    expected = read_bytes(tmp_path, "a.glb", written(before, ".glb"))
+    assert_equal(read_bytes(tmp_path, "data.gltf", gltf(before)), expected)
+    values = json.loads(gltf(before, "my%20buffer.bin"))
+    binary = written(before, ".glb")[-values["buffers"][0]["byteLength"] :]
+    (tmp_path / "my buffer.bin").write_bytes(binary)
+    assert_equal(read_bytes(tmp_path, "file.gltf", json.dumps(values).encode()), expected)
+    half = values["bufferViews"][3]["byteOffset"]
+    for view in values["bufferViews"][3:]:
+        view["buffer"], view["byteOffset"] = 1, view["byteOffset"] - half
+    values["buffers"] = [{"uri": "one.bin", "byteLength": half}, {"uri": "two.bin", "byteLength": len(binary) - half}]
+    (tmp_path / "one.bin").write_bytes(binary[:half])
+    (tmp_path / "two.bin").write_bytes(binary[half:])
+    assert_equal(read_bytes(tmp_path, "files.gltf", json.dumps(values).encode()), expected)
+    (tmp_path / "two.bin").write_bytes(binary[half:-1])
+    with pytest.raises(SceneFormatError, match=r"files\.gltf: .*buffer 1 has"):
+        read_gaussians(tmp_path / "files.gltf")
+    (tmp_path / "two.bin").unlink()
+    with pytest.raises(SceneFormatError, match=r"files\.gltf: .*'two\.bin'"):
+        read_gaussians(tmp_path / "files.gltf")

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from gsrain_engine.scene.files import SceneFormatError
+from gsrain_engine.scene.formats.compressed_ply import chunk_order
 from gsrain_engine.scene.formats.lod_file import read_lod_tree, write_lod_tree
 from gsrain_engine.scene.formats.ply import write_ply
 from gsrain_engine.scene.formats.registry import read_gaussians, write_gaussians
@@ -64,7 +65,7 @@ def ours(suffix: str, gaussians: Gaussians) -> tuple[Gaussians, bytes]:
 
 def in_morton_order(suffix: str, gaussians: Gaussians) -> tuple[Gaussians, bytes]:
     before, data = ours(suffix, gaussians)
-    return before.take(morton_order(before)), data
+    return before.take(chunk_order(before)), data
 
 
 def in_blocks(suffix: str, gaussians: Gaussians) -> tuple[Gaussians, bytes]:
@@ -206,6 +207,55 @@ def test_extreme_values_survive(tmp_path: Path) -> None:
     far = Gaussians(some.means * 1e6, some.scales, some.quaternions, some.opacities, some.sh)
     (tmp_path / "a.spz").write_bytes(encode_spz(far))
     np.testing.assert_allclose(read_gaussians(tmp_path / "a.spz").means, far.means, atol=2)
+
+
+# Floaters far out
+
+
+def directions_to(points: np.ndarray) -> np.ndarray:
+    return points / np.linalg.norm(points, axis=1, keepdims=True)
+
+
+@pytest.fixture(scope="module")
+def with_floaters() -> Gaussians:
+    """20,000 Gaussians within some units, the last 12 of which are as far out as trainings leave floaters."""
+    found = sample_gaussians(20_000, 0)
+    found.scales[:] *= np.float32(0.05)
+    directions = directions_to(np.random.default_rng(2).normal(size=(12, 3)))
+    found.means[-12:] = directions * np.geomspace(2e4, 2e6, 12)[:, None]
+    found.scales[-12:] = 300
+    return found
+
+
+def test_floaters_take_no_precision_from_a_compressed_ply(with_floaters: Gaussians, tmp_path: Path) -> None:
+    write_gaussians(with_floaters, tmp_path / "a.compressed.ply")
+    distances, _ = cKDTree(read_gaussians(tmp_path / "a.compressed.ply").means).query(with_floaters.means[:-12])
+    coarse = np.flatnonzero(distances > 0.05)
+    visibility = with_floaters.opacities * with_floaters.scales.max(axis=1) ** 2
+    assert len(coarse) < 256 and visibility[coarse].sum() < 1e-3 * visibility[:-12].sum()
+
+
+def test_floaters_take_no_precision_from_spz(
+    with_floaters: Gaussians, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    write_gaussians(with_floaters, tmp_path / "a.spz")
+    after = read_gaussians(tmp_path / "a.spz")
+    np.testing.assert_allclose(after.means[:-12], with_floaters.means[:-12], atol=0.001, rtol=0)
+    assert "12 of 20000" in caplog.text or "11 of 20000" in caplog.text
+    before, distances = with_floaters.means[-12:], np.linalg.norm(after.means[-12:], axis=1)
+    sines = np.linalg.norm(np.cross(directions_to(after.means[-12:]), directions_to(before)), axis=1)
+    assert sines.max() < 1e-4  # in the same direction, at the same apparent size
+    np.testing.assert_allclose(after.scales[-12:, 0] / distances, 300 / np.linalg.norm(before, axis=1), rtol=0.04)
+
+
+@pytest.mark.parametrize("suffix", [".spz", ".compressed.ply"])
+def test_a_step_that_shows_is_logged(suffix: str, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    spread = sample_gaussians(2000, 0)
+    write_gaussians(spread, tmp_path / f"a{suffix}")
+    assert not caplog.text
+    spread.means[:] *= np.float32(1e5)
+    write_gaussians(spread, tmp_path / f"a{suffix}")
+    assert "steps of" in caplog.text
 
 
 def check_opened(path: Path) -> None:

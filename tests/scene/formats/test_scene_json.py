@@ -81,8 +81,8 @@ def test_older_versions_lack_fields(version: int, folder: Path) -> None:
 
 
 def test_a_newer_version_is_neither_read_nor_replaced_but_a_damaged_scene_may_be(folder: Path) -> None:
-    edit(folder, lambda values: values.update(version=8, new_field=True))
-    assert "version 8 is of a newer program" in refusal(folder)
+    edit(folder, lambda values: values.update(version=9, new_field=True))
+    assert "version 9 is of a newer program" in refusal(folder)
     before = bytes_in(folder)
     with pytest.raises(SceneFormatError, match="newer program"):
         write_scene(sample_scene(), folder)
