@@ -86,7 +86,7 @@ def render(
         devices = {name: device_of(renderer) for name, renderer in renderers.items()}
         for name in names:
             scene = timed_scene(name)
-            with progress_bar(f"Timing {scene.name}", len(renderers) * len(resolutions), draws=True) as advance:
+            with progress_bar(f"Timing {scene.name}", len(renderers) * len(resolutions)) as advance:
                 for (backend, renderer), (width, height) in product(renderers.items(), resolutions):
                     view = (random_scene_camera if is_random_scene(scene.name) else default_path)(scene, width, height)
                     sequences = [

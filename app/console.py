@@ -18,7 +18,6 @@ from rich.segment import Segment
 from rich.table import Table as Table
 from rich.text import Text
 
-from gsrain_engine.compile_cache import has_any_kernel
 from gsrain_engine.safe_io.text_files import escape_invisible
 
 if TYPE_CHECKING:
@@ -113,9 +112,17 @@ def use_any_encoding() -> None:
             stream.reconfigure(errors="backslashreplace")  # pyright: ignore
 
 
+class _ConsoleLog(logging.StreamHandler[Any]):
+    """Handler of the present standard error: while a progress bar is shown, lines are printed above it."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.stream = sys.stderr
+        super().emit(record)
+
+
 def console_log() -> logging.Handler:
     """Return a handler that prints log records to standard error, one line each; tracebacks keep their lines."""
-    handler = logging.StreamHandler(sys.stderr)
+    handler = _ConsoleLog(sys.stderr)
     handler.setFormatter(_OneLine())
     return handler
 
@@ -131,21 +138,15 @@ class _OneLine(logging.Formatter):
 # Progress bars with an estimate of the time left; files and pipes get lines, or only the final state
 
 _Result = TypeVar("_Result")
-_FIRST_TIME = (
-    "The first time on a machine, code for its processor is compiled before the first frame: a minute or two, more if "
-    "it is busy."
-)
 
 
 @contextmanager
-def progress_bar(title: str, total: float, *, draws: bool = False) -> Generator[Callable[..., None]]:
-    """Show a bar while the block runs; call the yielded function with the work done (default 1). Errors remove the bar.
+def progress_bar(title: str, total: float) -> Generator[Callable[..., None]]:
+    """Show a bar while the block runs; call the yielded function with the work done (default 1).
 
-    With `draws`, the first run on a machine prints that kernels are compiled first.
+    Errors remove the bar.
     """
     with _bar(progress.MofNCompleteColumn(), console=Console(stderr=True)) as bar:
-        if draws and bar.console.is_terminal and not has_any_kernel():
-            bar.console.print(_FIRST_TIME)
         task = bar.add_task(title, total=total)
         try:
             yield lambda done=1: bar.advance(task, done)

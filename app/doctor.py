@@ -4,12 +4,12 @@ import importlib.util
 import shlex
 import shutil
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from functools import partial, wraps
 from importlib import import_module, metadata
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -20,6 +20,9 @@ from gsrain_engine.safe_io.text_files import printable_line
 from .console import print, run_with_progress
 from .options import JsonFile, flag, option, window_problem
 from .outputs import check_writable, write_numbers
+
+if TYPE_CHECKING:
+    from packaging.requirements import Requirement
 
 _FEW_SPLATS, _MANY_SPLATS = (100_000,), (1_000_000, 3_000_000)
 """Numbers of splats for the depth sort test, on software OpenGL and on a GPU."""
@@ -68,7 +71,8 @@ def doctor(
         raise ValueError("--pair is for --self-test")
     video, threads = _video(), _threads()
     opengl, fastest = find_opengl(), _fastest()
-    needed = [fastest, threads] if is_frozen() else [fastest, video, threads]
+    needed = [fastest, threads] if is_frozen() else [fastest, video, threads, find_requirements()]
+    needed = [*needed, find_opencv()]
     needed = [opengl, *needed] if sys.platform == "linux" else needed  # elsewhere the processor draws without it
     tested = find_depth_order()
     weights = (
@@ -76,7 +80,7 @@ def doctor(
         find_normals_weights, find_normals_program, find_detector_file,
     )  # fmt: skip
     optional = [each() for each in (_osmesa, _display, _cuda, find_gsplat, *weights, find_zsh)]
-    optional = [*([video] if is_frozen() else []), *optional, *map(_package, _PACKAGES)]
+    optional = [*([video] if is_frozen() else []), *optional, *map(find_package, _PACKAGES)]
     optional = optional if sys.platform == "linux" else [opengl, *optional]
     added = [_tried(f"{each.group.noun} {each.name}", partial(describe, each)) for each in installed_extensions()]
     marks = {"MISSING": needed, "WRONG  ": tested, "absent ": optional, "broken ": added}
@@ -220,15 +224,71 @@ def _threads() -> str:
     return f"Numba {numba.__version__}, {name}, {numba.get_num_threads()} threads"
 
 
+@finding("versions of packages")
+def find_requirements() -> str:
+    """Compare what is installed with what this program needs: another package may have brought an older version."""
+    if unmet := unmet_requirements([""]):
+        raise RuntimeError("; ".join(unmet.values()))
+    return "as needed"
+
+
+def unmet_requirements(extras: Sequence[str]) -> dict[str, str]:
+    """Return a sentence for each package of extras ("": without any) that is installed in another version than needed.
+
+    It names the packages that limit the version, such as nuscenes-devkit (NumPy below 2).
+    """
+    found: dict[str, str] = {}
+    for each in _required("gsrain", metadata.requires("gsrain"), extras):
+        with suppress(metadata.PackageNotFoundError):  # its import says more
+            version = metadata.version(each.name)
+            if not each.specifier.contains(version, prereleases=True):
+                limits = " and ".join(_limits(each.name))
+                found[each.name] = (
+                    f"{each.name} {version} is installed{limits and f' for {limits}'}, but GSRAIN needs "
+                    f"{each.specifier}: install one of them in an environment of its own, or "
+                    f"{shlex.quote(sys.executable)} -m pip install '{each.name}{each.specifier}'"
+                )
+    return found
+
+
+def _required(package: str, lines: list[str] | None, extras: Sequence[str]) -> "Iterator[Requirement]":
+    from packaging.requirements import Requirement
+
+    for each in map(Requirement, lines or ()):
+        if each.name != package and (not each.marker or any(each.marker.evaluate({"extra": name}) for name in extras)):
+            yield each
+
+
+def _limits(name: str) -> Iterator[str]:
+    """Yield the installed packages, and their requirement, that do not take each newer version of a package."""
+    for package in metadata.distributions():
+        own = package.metadata["Name"]
+        for each in _required(own, package.requires, [""]):
+            if each.name.lower() == name.lower() and {"<", "<=", "==", "~="} & {one.operator for one in each.specifier}:
+                yield f"{own} ({each.name}{each.specifier})"
+
+
+@finding("OpenCV", "Reinstall it: pip install --force-reinstall opencv-python-headless")
+def find_opencv() -> str:
+    """Load OpenCV, and name the packages that install it: they write the same files, so that the last one counts."""
+    import cv2
+
+    packages = [] if is_frozen() else sorted(set(metadata.packages_distributions().get("cv2", ())))
+    several = "; they share their files, and any of them will do: after uninstalling one, reinstall another"
+    return f"{cv2.__version__}, of {', '.join(packages) or 'this program'}{several if len(packages) > 1 else ''}"
+
+
 def _display() -> Finding:
     problem = window_problem()
     missing = f"{problem}: rendering to files and gsrain serve work, the window does not"
     return Finding("display", not problem, missing if problem else "the window can open")
 
 
-def _package(name: str) -> Finding:
+def find_package(name: str) -> Finding:
     purpose, extra = _PACKAGES[name]
     try:
+        if not is_frozen() and (wrong := unmet_requirements([extra]).get(name)):
+            return Finding(name, False, wrong)
         return Finding(name, True, f"{metadata.version(name)}, for {purpose}")
     except metadata.PackageNotFoundError:
         return Finding(name, False, f"not installed; for {purpose}: {how_to_add(extra)}")

@@ -287,7 +287,7 @@ def _drive(simulation: Simulation, agent: Agent) -> str | None:
     scenario = simulation.scenario
     title = f"{scenario.rain.intensity_mm_h:g} mm/h, {agent.name}"
     longest, made = round(scenario.duration_s / scenario.step_s), 0
-    with progress_bar(title, longest, draws=True) as advance:
+    with progress_bar(title, longest) as advance:
         try:
             for _ in driving.drive(simulation, agent):
                 made += 1
@@ -421,7 +421,7 @@ def _write_run(
         written.append(file(".xodr"))
     if renderer is not None and films:
         video = RolloutVideo(RolloutPlayback(rollout, scene), renderer, lod)
-        with progress_bar("Filming", len(video.times(files.fps)), draws=True) as advance:
+        with progress_bar("Filming", len(video.times(files.fps))) as advance:
             for _ in render_rollout_video(file(".mp4"), video, files.fps):
                 advance()
         written.append(file(".mp4"))
@@ -434,7 +434,7 @@ def _write_rerun(path: Path, run: ScoredRun, scene: Scene, renderer: Renderer | 
     rollout = run.rollout
     assert rollout is not None
     images = () if renderer is None else RolloutVideo(RolloutPlayback(rollout, scene), renderer, lod).camera_images()
-    with progress_bar("Recording", len(rollout.steps) if renderer else 1, draws=True) as advance:
+    with progress_bar("Recording", len(rollout.steps) if renderer else 1) as advance:
 
         def counted() -> Generator[CameraImage]:
             for image in images:
@@ -452,7 +452,7 @@ def _write_bag(path: Path, rollout: Rollout, scene: Scene, renderer: Renderer | 
     played = RolloutPlayback(rollout, scene)
     cameras = () if renderer is None else played.rig.cameras
     count = len(rollout.steps) * (1 + len(cameras))
-    with progress_bar("Recording", count, draws=True) as advance:
+    with progress_bar("Recording", count) as advance:
 
         def counted(items: Iterable[_Item]) -> Generator[_Item]:
             for item in items:

@@ -171,6 +171,13 @@ def run(arguments: list[str]) -> int:
     except KeyboardInterrupt:
         errors.print("gsrain: stopped")
         return INTERRUPTED
+    except (AttributeError, TypeError) as error:  # what an older version of a library lacks, where it isn't a bug
+        from .doctor import unmet_requirements  # loads NumPy
+
+        if not (unmet := unmet_requirements([""])):
+            raise
+        errors.print(f"gsrain: {'; '.join(unmet.values())} ({sentence_of(error)})")
+        return BAD_INPUT
     finally:
         release_outputs()
 

@@ -239,7 +239,7 @@ def export_settings(options: StructOptions, *, with_depth: bool) -> ExportSettin
 def _record(frames: Iterator[Progress], renderer: Renderer, state: RainProperties, count: int) -> dict[str, Any]:
     """Record frames and return the numbers of the report; Ctrl-C stops early and keeps the frames so far."""
     started, done = time.perf_counter(), 0
-    with progress_bar("Rendering", count, draws=True) as advance:
+    with progress_bar("Rendering", count) as advance:
         try:
             for progress in frames:
                 advance(round(progress.fraction * count) - done)

@@ -494,7 +494,7 @@ def street(
     print(f"{directory / 'scene'}: {scene.gaussian_count:,} Gaussians, rigs {', '.join(scene.rigs)}")
     views = moments * len(scene.rigs[rig])
     if views:
-        with progress_bar("Photographing", views, draws=True) as advance:
+        with progress_bar("Photographing", views) as advance:
             for _ in write_views(directory / "images", _photographs(scene, rig, moments, width)):
                 advance()
         print(f"{directory / 'images'}: {views} views with depth, normals and labels")

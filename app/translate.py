@@ -154,7 +154,7 @@ def _write_views(rainy: Iterator[RainyView], count: int, sheet: Path | None) -> 
     """Make the views with a progress bar; returns the numbers of `--json`."""
     started, films, pictures = time.perf_counter(), list[float](), output_folder.ContactSheet(count)
     made, left_out = 0, SkippedCounts()
-    with progress_bar("Rainy views", count, draws=True) as advance:
+    with progress_bar("Rainy views", count) as advance:
         for view in rainy:
             made += 1
             left_out.add(view)

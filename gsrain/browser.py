@@ -30,9 +30,9 @@ from gsrain_engine.scene.files import sentence_of
 from gsrain_engine.scene.geometry import matrices_from_quaternions
 from gsrain_engine.scene.scene import Scene
 
+from .arguments import checked
 from .browser_panel import RainPanel
 from .browser_server import HOST, open_page_server
-from .rain import checked_rain
 from .viewer import Viewer, ViewerError
 
 DEFAULT_PORT = 8080
@@ -65,6 +65,7 @@ class BrowserViewer:
     machine: `ssh -L 8080:localhost:8080 THIS_MACHINE`.
     """
 
+    @checked
     def __init__(
         self,
         scene: Scene,
@@ -99,7 +100,7 @@ class BrowserViewer:
         except ModuleNotFoundError:
             raise ImportError("pages for browsers need viser: pip install 'gsrain[viser]'") from None
         self._changed = threading.Condition()
-        self._scene, self._rain = scene, checked_rain(rain)
+        self._scene, self._rain = scene, rain or RainSettings()
         self._backend: Backend = backend
         self._path = default_path(scene, *DEFAULT_SIZE_PX)
         self._home = camera or home_camera(scene, *DEFAULT_SIZE_PX)
@@ -132,6 +133,7 @@ class BrowserViewer:
         return self._scene
 
     @scene.setter
+    @checked
     def scene(self, scene: Scene) -> None:
         self._check_open()
         path = default_path(scene, *DEFAULT_SIZE_PX)
@@ -146,11 +148,12 @@ class BrowserViewer:
         return self._rain
 
     @rain.setter
-    def rain(self, rain: RainSettings) -> None:
+    @checked
+    def rain(self, rain: RainSettings | None) -> None:
         self._check_open()
-        rain = checked_rain(rain)
-        self._panel.display(rain)
-        self._set_rain(rain)
+        shown = rain or RainSettings()
+        self._panel.display(shown)
+        self._set_rain(shown)
 
     @property
     def browsers(self) -> int:
@@ -167,6 +170,7 @@ class BrowserViewer:
         """True while the page is served."""
         return not self._ended.is_set()
 
+    @checked
     def wait(self, timeout: float | None = None) -> bool:
         """Wait until the window is closed, at most `timeout` seconds; returns whether it is. Ctrl-C interrupts it.
 
@@ -418,6 +422,7 @@ class BrowserViewer:
         self._pictures += 1
 
 
+@checked
 def show(
     scene: Scene,
     rain: RainSettings | None = None,

@@ -1,30 +1,21 @@
 """Rain: what is asked for, and what the virtual disdrometer measures of it."""
 
 from abc import ABC
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
 
 from gsrain_engine.rain.settings import RainSettings as RainSettings
 from gsrain_engine.rain.settings import load_preset
-from gsrain_engine.safe_io.errors import convert_checked
+
+from .arguments import RAIN_FIELDS, checked, checked_settings
 
 if TYPE_CHECKING:
     from gsrain_engine.disdrometer.measurement import DisdrometerMeasurement
-
-Settings = TypeVar("Settings")
-_FIELDS = {
-    "intensity": "intensity_mm_h",
-    "wind": "wind_m_s",
-    "exposure": "exposure_s",
-    "gusts": "gust_m_s",
-    "turbulence": "turbulence_m_s",
-}
-"""Short argument names, whose units are in the docstring, and the fields that they set."""
 
 
 class Rain(ABC):  # noqa: B024  abstract, so that `RainSettings` counts as a subclass
@@ -34,6 +25,7 @@ class Rain(ABC):  # noqa: B024  abstract, so that `RainSettings` counts as a sub
     fields: `rain.intensity_mm_h`, `rain.wind_speed_m_s`. The same settings and time give the same drops.
     """
 
+    @checked
     def __new__(
         cls,
         intensity: float = 0.0,
@@ -68,17 +60,19 @@ class Rain(ABC):  # noqa: B024  abstract, so that `RainSettings` counts as a sub
         }
         air = {"wind_m_s": wind, "gust_m_s": gusts, "turbulence_m_s": turbulence}
         values |= {name: value for name, value in air.items() if value is not None}
-        return checked_settings(msgspec.to_builtins(RainSettings()) | values | settings, RainSettings, _FIELDS)
+        return checked_settings(msgspec.to_builtins(RainSettings()) | values | settings, RainSettings, RAIN_FIELDS)
 
     @classmethod
-    def preset(cls, name: str) -> RainSettings:
+    @checked
+    def preset(cls, name: Path | str) -> RainSettings:
         """Load a shipped preset ("clear", "1.2", "8.5", "12.0", "paper") by name, or a preset file by path.
 
         Raises `ValueError` with the file, the field and what is allowed.
         """
-        return load_preset(name)
+        return load_preset(str(name))
 
     @classmethod
+    @checked
     def from_disdrometer(
         cls,
         files: Path | str | Sequence[Path | str],
@@ -99,21 +93,12 @@ class Rain(ABC):  # noqa: B024  abstract, so that `RainSettings` counts as a sub
         """
         from gsrain_engine.disdrometer.fit import rain_as_measured
 
-        paths = [files] if isinstance(files, str | Path) else list(files)
+        paths = [files] if isinstance(files, str | Path) else files
         rain = rain_as_measured(paths, intensity, save_to=save_to)
-        return checked_settings(msgspec.to_builtins(rain), RainSettings, _FIELDS)
+        return checked_settings(rain, RainSettings, RAIN_FIELDS)
 
 
 Rain.register(RainSettings)
-
-
-def checked_rain(rain: object) -> RainSettings:
-    """Return a rain, or none for None; raises `ValueError` for anything else, such as a bare number."""
-    if rain is None:
-        return RainSettings()
-    if not isinstance(rain, RainSettings):
-        raise ValueError(f"rain {rain!r:.80}: expected rain settings, such as gr.Rain(8.5)")
-    return rain
 
 
 @dataclass(frozen=True)
@@ -150,6 +135,7 @@ class RainMeasurement:
         return f"<gsrain.RainMeasurement {self}, {self.drops:,} drops>"
 
 
+@checked
 def measure_rain(rain: RainSettings, seconds: float = 60.0, *, area: float = 0.5) -> RainMeasurement:
     """Count the simulated drops that fall through a horizontal square, as a disdrometer would.
 
@@ -164,19 +150,6 @@ def measure_rain(rain: RainSettings, seconds: float = 60.0, *, area: float = 0.5
     from gsrain_engine.disdrometer.virtual import VirtualDisdrometer
     from gsrain_engine.rain.simulation import RainSimulation
 
-    if not 0 < seconds < np.inf:
+    if not seconds > 0:
         raise ValueError(f"seconds {seconds:g}: must be above 0")
-    return RainMeasurement(
-        VirtualDisdrometer(RainSimulation.start(checked_rain(rain)), area).measure(np.array([0.0, float(seconds)]))
-    )
-
-
-def checked_settings(values: dict[str, Any], kind: type[Settings], fields: Mapping[str, str]) -> Settings:
-    """Return checked settings of a kind; errors name the arguments, which set `fields`."""
-    try:
-        return convert_checked(values, kind)
-    except ValueError as error:
-        message = str(error)
-    for argument, field in fields.items():
-        message = message.replace(field, argument)
-    raise ValueError(message.replace("`$.", "`")) from None
+    return RainMeasurement(VirtualDisdrometer(RainSimulation.start(rain), area).measure(np.array([0.0, seconds])))

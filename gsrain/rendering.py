@@ -29,12 +29,13 @@ from gsrain_engine.scene.geometry import srgb_to_linear
 from gsrain_engine.scene.progress import Progress
 from gsrain_engine.scene.scene import Scene
 
-from .rain import checked_rain, checked_settings
+from .arguments import checked, checked_settings
 
 
 class Image:
     """A rendered image over black; the last line of a notebook's cell shows it. `np.asarray(image)` is `rgb`."""
 
+    @checked
     def __init__(self, frame: Frame) -> None:
         """Take a frame of a renderer."""
         self.frame = frame
@@ -75,6 +76,7 @@ class Image:
             raise ValueError("this image was rendered without depth: pass depth=True")
         return self.frame.depth
 
+    @checked
     def save(self, path: Path | str) -> None:
         """Save as .png, .jpg, .exr (linear light, with depth) or .npy (premultiplied floats), by the ending.
 
@@ -123,6 +125,7 @@ class Renderer:
     itself and keeps it. Several threads may share one: they take turns.
     """
 
+    @checked
     def __init__(self, backend: Backend = "auto") -> None:
         """Open a back end: "opengl", "cpu", or "auto": OpenGL on a GPU, else the processor.
 
@@ -138,6 +141,7 @@ class Renderer:
         """Name of the back end that renders."""
         return self._renderer.name
 
+    @checked
     def render(
         self,
         scene: Scene,
@@ -152,8 +156,9 @@ class Renderer:
         viewpoint = _still_camera(scene, camera, size, time)
         with self._lock:
             self._check_open()
-            return Image(render_image(self._renderer, scene, checked_rain(rain), viewpoint, time, with_depth=depth))
+            return Image(render_image(self._renderer, scene, rain or RainSettings(), viewpoint, time, with_depth=depth))
 
+    @checked
     def frames(
         self,
         scene: Scene,
@@ -168,9 +173,10 @@ class Renderer:
         with self._lock:
             self._check_open()
             viewpoint = path or default_path(scene, *DEFAULT_SIZE_PX)
-            made = film_frames(self._renderer, export, scene, checked_rain(rain), viewpoint, with_depth=depth)
+            made = film_frames(self._renderer, export, scene, rain or RainSettings(), viewpoint, with_depth=depth)
         return self._frames(made)
 
+    @checked
     def render_video(
         self,
         scene: Scene,
@@ -186,7 +192,7 @@ class Renderer:
         with self._lock:
             self._check_open()
             viewpoint = path or default_path(scene, *DEFAULT_SIZE_PX)
-            for step in film(self._renderer, export, scene, checked_rain(rain), viewpoint):
+            for step in film(self._renderer, export, scene, rain or RainSettings(), viewpoint):
                 if progress is not None:
                     progress(step)
         return export.path
@@ -220,6 +226,7 @@ class Renderer:
             raise ValueError("this Renderer is closed: open another one")
 
 
+@checked
 def render(
     scene: Scene,
     rain: RainSettings | None = None,
@@ -248,6 +255,7 @@ def render(
     return _shared(backend).render(scene, rain, camera, size=size, time=time, depth=depth)
 
 
+@checked
 def frames(
     scene: Scene,
     rain: RainSettings | None = None,
@@ -279,6 +287,7 @@ def frames(
     return _shared(backend).frames(scene, rain, path, size=size, fps=fps, start=start, end=end, depth=depth)
 
 
+@checked
 def render_video(
     scene: Scene,
     rain: RainSettings | None,
@@ -328,6 +337,7 @@ def render_video(
     )  # fmt: skip
 
 
+@checked
 def export(
     scene: Scene,
     output: Path | str,
@@ -377,8 +387,6 @@ def _still_camera(
             return camera.resized(width, height) if size is not None else camera
         case CameraPath():
             return camera.camera(time, width, height)
-        case _:  # what only types forbid
-            raise ValueError(f"camera {camera!r:.80}: expected a gr.Camera or a gr.CameraPath")
 
 
 def _export(output: str, viewpoint: Camera | CameraPath | None, clip: Clip | VideoClip) -> ExportSettings:

@@ -10,6 +10,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
+from jaxtyping import Float, Float32, Float64
 
 from gsrain_engine.appearance.base import TransferSettings
 from gsrain_engine.appearance.registry import find_method
@@ -20,16 +21,15 @@ from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.editor.edits.level import Axis, oriented
 from gsrain_engine.editor.steps import EditStep, apply_steps
 from gsrain_engine.editor.viewport import camera as views
-from gsrain_engine.render.export_settings import DEFAULT_SIZE_PX
+from gsrain_engine.render.export_settings import DEFAULT_SIZE_PX, LARGEST_PX
 from gsrain_engine.safe_io.errors import convert_checked
-from gsrain_engine.scene import camera_path
+from gsrain_engine.safe_io.foreign_values import as_plain_values
+from gsrain_engine.scene import camera, camera_path, gaussians
 from gsrain_engine.scene.camera import Camera as Camera
-from gsrain_engine.scene.camera import look_at as look_at
 from gsrain_engine.scene.camera_path_io import read_camera_path, write_camera_path
 from gsrain_engine.scene.files import SceneFormatError as SceneFormatError
 from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.scene.gaussians import Gaussians as Gaussians
-from gsrain_engine.scene.gaussians import sh_from_color as sh_from_color
 from gsrain_engine.scene.lamp_choice import lamp_choice
 from gsrain_engine.scene.lamps import Lamp as Lamp
 from gsrain_engine.scene.open import load_scene, load_sorted_scene
@@ -39,9 +39,12 @@ from gsrain_engine.scene.scene import Actor as Actor
 from gsrain_engine.scene.scene import Layer as Layer
 from gsrain_engine.scene.scene import Scene as Scene
 
+from .arguments import checked
+
 _PATHS = ("weights", "base", "images", "normals_weights", "normals_checkout")
 
 
+@checked
 def load(
     path: Path | str = "street", *, up: Axis | None = None, scale: float | None = None, sort: bool = True
 ) -> Scene:
@@ -62,6 +65,7 @@ def load(
     return oriented(load_sorted_scene(path) if sort else load_scene(path), up, scale)
 
 
+@checked
 def save(scene: Scene, path: Path | str) -> None:
     """Save a scene as a scene folder, which keeps everything, or as one file by its ending, such as .ply, .spz, .glb.
 
@@ -72,6 +76,7 @@ def save(scene: Scene, path: Path | str) -> None:
     write_scene(scene, Path(path))
 
 
+@checked
 def edit(scene: Scene, name: str, /, **arguments: Any) -> Scene:
     """Edit a scene as the window does: `gr.edit(scene, "rename", key="layers/road", name="asphalt")`.
 
@@ -86,6 +91,7 @@ def edit(scene: Scene, name: str, /, **arguments: Any) -> Scene:
     return apply_steps(scene, [EditStep.with_values(name, arguments)])
 
 
+@checked
 def capture(path: Path | str, *, allow_outside: bool | None = None) -> Capture:
     """Open a recording: images with cameras, and lidar, boxes and masks where it has them. Images are read when used.
 
@@ -100,6 +106,7 @@ def capture(path: Path | str, *, allow_outside: bool | None = None) -> Capture:
     return open_capture(path, allow_outside=allow_outside)
 
 
+@checked
 def wet(
     scene: Scene,
     *,
@@ -129,7 +136,7 @@ def wet(
     from gsrain_engine.editor.jobs.make_rainy import TransferRequest, rainy_by  # kernels take a second to load
 
     row = find_method(method)
-    values = settings if weights is None else settings | {"weights": weights}
+    values: dict[str, Any] = as_plain_values(settings if weights is None else settings | {"weights": weights})
     paths = {name: Path(values[name]) for name in _PATHS if isinstance(values.get(name), str)}
     chosen: TransferSettings = convert_checked(values | paths, TransferSettings)
     for name in _PATHS:
@@ -142,6 +149,7 @@ def wet(
     return run_to_end(rainy_by(scene, TransferRequest(method, chosen, choice)), progress)
 
 
+@checked
 def night(
     scene: Scene,
     *,
@@ -165,14 +173,36 @@ def night(
     return run_to_end(night_scene(scene, given), progress)
 
 
+@checked
+def sh_from_color(colors: Float[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 1 3"]:
+    """Return spherical harmonics of degree 0 with the same display color (0..1) from every direction."""
+    return gaussians.sh_from_color(colors.astype(np.float32))
+
+
 # Cameras
 
 
+@checked
+def look_at(
+    eye: Float[np.ndarray, "3"], target: Float[np.ndarray, "3"], up: Float[np.ndarray, "3"]
+) -> Float64[np.ndarray, "4 4"]:
+    """Return the world-to-camera matrix of a camera at `eye` that looks at `target`, with `up` upwards in the image.
+
+    Raises `ValueError` where the eye is at the target, or `up` is 0.
+    """
+    if np.array_equal(eye, target) or not up.any():
+        raise ValueError(f"look_at: the eye {eye} must be away from the target, and up {up} must not be 0")
+    return camera.look_at(eye, target, up)
+
+
+@checked
 def home_camera(scene: Scene, size: tuple[int, int] = DEFAULT_SIZE_PX) -> Camera:
     """Return the camera that a scene is first shown from; `size` is width and height in pixels.
 
     It looks through the windscreen where the scene has an ego vehicle with cameras, else at the scene's middle.
     """
+    if not all(1 <= each <= LARGEST_PX for each in size):
+        raise ValueError(f"size {size[0]} x {size[1]}: must be within 1..{LARGEST_PX} px")
     return views.home_camera(scene, *size)
 
 
@@ -180,6 +210,7 @@ class CameraPath(camera_path.CameraPath):
     """Keyframes of a camera in time, with smooth curves between them: positions in meters, times in seconds."""
 
     @classmethod
+    @checked
     def through(cls, times_s: Sequence[float], cameras: Sequence[Camera]) -> "CameraPath":
         """Fly through cameras at rising times in seconds; the exposure is the first one's.
 
@@ -188,6 +219,7 @@ class CameraPath(camera_path.CameraPath):
         return cls._of(super().through(times_s, cameras))
 
     @classmethod
+    @checked
     def orbit(cls, scene: Scene, seconds: float = views.ORBIT_S, degrees: float = views.ORBIT_DEG) -> "CameraPath":
         """Swing around a scene's middle in front of its home camera; 360 degrees go all the way round.
 
@@ -196,12 +228,14 @@ class CameraPath(camera_path.CameraPath):
         return cls._of(views.orbit_around(scene, *DEFAULT_SIZE_PX, seconds, degrees))
 
     @classmethod
+    @checked
     def default(cls, scene: Scene) -> "CameraPath":
         """Return the path that a scene is shown along: its own, else the drive of its ego vehicle, else an orbit."""
         own = None if scene.path is None else scene.path.moved(scene.scene_to_world)
         return cls._of(own or views.default_path(scene, *DEFAULT_SIZE_PX))
 
     @classmethod
+    @checked
     def read(cls, path: Path | str, scene: Scene) -> "CameraPath":
         """Read a file in a scene's own units and axes: ours, nerfstudio's camera_path.json, or 3DGS's cameras.json.
 
@@ -211,6 +245,7 @@ class CameraPath(camera_path.CameraPath):
         """
         return cls._of(read_camera_path(Path(path), scene).moved(scene.scene_to_world))
 
+    @checked
     def save(self, path: Path | str, scene: Scene) -> None:
         """Write the path as JSON, in a scene's own units and axes, as `gsrain render --camera-path` reads it."""
         write_camera_path(Path(path), self.moved(np.linalg.inv(scene.scene_to_world)))

@@ -21,7 +21,7 @@ from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.formats.scene_folder import FileCache
 from gsrain_engine.scene.scene import Scene
 
-from .rain import checked_rain
+from .arguments import checked
 from .viewer_messages import Close, GetState, Reply, Request, Screenshot, SetCamera, SetRain, SetScene, receive, send
 
 logger = logging.getLogger("gsrain")
@@ -42,6 +42,7 @@ class Viewer:
     opened it: `v.wait()` waits until a person closes it.
     """
 
+    @checked
     def __init__(
         self,
         scene: Scene,
@@ -99,6 +100,7 @@ class Viewer:
         return self._scene
 
     @scene.setter
+    @checked
     def scene(self, scene: Scene) -> None:
         self._check_open()
         self._scene = scene
@@ -124,8 +126,9 @@ class Viewer:
         return rain
 
     @rain.setter
-    def rain(self, rain: RainSettings) -> None:
-        self._request(SetRain(number=self._next_number(), rain=checked_rain(rain)))
+    @checked
+    def rain(self, rain: RainSettings | None) -> None:
+        self._request(SetRain(number=self._next_number(), rain=rain or RainSettings()))
 
     @property
     def camera(self) -> Camera:
@@ -138,10 +141,12 @@ class Viewer:
         return Camera.from_json(values)
 
     @camera.setter
+    @checked
     def camera(self, camera: Camera) -> None:
         values = camera.to_json() | {"exposure_s": camera.exposure_s}
         self._request(SetCamera(number=self._next_number(), camera=values))
 
+    @checked
     def screenshot(self, path: Path | str) -> Path:
         """Save what the viewport shows as PNG, once all that was set before is in the picture; returns the path.
 
@@ -156,6 +161,7 @@ class Viewer:
         """True while the window's process runs."""
         return not self._ended.is_set()
 
+    @checked
     def wait(self, timeout: float | None = None) -> bool:
         """Wait until the window is closed, at most `timeout` seconds; returns whether it is.
 

@@ -21,7 +21,7 @@ _SOURCES = _HERE / "render" / "cpu", _HERE / "render" / "autodiff", _HERE / "rai
 FRAME_SOURCES = *_SOURCES, _HERE / "scene"  # folders of all kernels of a frame
 _CACHED_VERSIONS = 2
 _UNUSED_S = 3600.0  # age after which an unused folder may be removed; a process that still uses it only compiles again
-KERNELS = 87  # about as many are compiled at a first start; only a progress bar counts them
+KERNELS = 102  # of all pictures, as a first start compiles them; some effects have a few more
 ROOM_BYTES = 32 << 20  # free space to require; the kernels take a fifth of it
 
 
@@ -42,12 +42,6 @@ def use_kernel_cache() -> None:
         os.environ["NUMBA_CACHE_DIR"] = str(folder)
 
 
-def has_any_kernel() -> bool:
-    """Return whether the cache folder holds any kernel; without one, the first frame takes a minute or two."""
-    folder = os.environ.get("NUMBA_CACHE_DIR")
-    return folder is not None and _holds_any(Path(folder))
-
-
 def has_kernels() -> bool:
     """Return whether the cache folder holds all kernels of a frame, so that loading them takes less than a second."""
     mark = _mark()
@@ -58,6 +52,28 @@ def compiled_kernels() -> int:
     """Return the number of kernels in the cache folder, also while another process compiles; at most `KERNELS`."""
     folder = os.environ.get("NUMBA_CACHE_DIR")
     return 0 if folder is None else min(sum(1 for _ in Path(folder).rglob("*.nbi")), KERNELS)
+
+
+def is_first_to_compile() -> bool:
+    """Return whether no other process of this command, such as another worker, compiles: the first one reports it.
+
+    A lock in the cache folder, which ends with this process, tells the others.
+    """
+    folder = os.environ.get("NUMBA_CACHE_DIR")
+    if folder is None or os.name != "posix":
+        return True
+    import fcntl
+
+    try:
+        lock = os.open(Path(folder) / f"{os.getpgrp()}.compiling", os.O_CREAT | os.O_RDWR, 0o600)
+    except OSError:
+        return True
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(lock)
+        return False
+    return True
 
 
 def stores_kernels() -> bool:

@@ -1,9 +1,15 @@
-"""Option of compiled kernels that lets other threads run, so that the interface is drawn while a kernel works."""
+"""Compiled kernels: their option that lets other threads run while they work, and the report of their compilation."""
 
+import logging
 from contextlib import suppress
 from importlib import import_module
+from typing import Any
 
-from numba.core import config
+from numba.core import config, event
+
+from .compile_cache import KERNELS, compiled_kernels, is_first_to_compile
+
+logger = logging.getLogger("gsrain")
 
 
 def _take_concurrent_calls() -> bool:
@@ -19,3 +25,33 @@ def _take_concurrent_calls() -> bool:
 
 NOGIL = _take_concurrent_calls()
 """Option `nogil` of kernels. Without it Python's lock, held while a kernel runs, keeps them from running at once."""
+
+
+class CompilationReport(event.Listener):
+    """Logs once, at the first kernel of ours that a process compiles, how many are missing."""
+
+    def __init__(self) -> None:
+        """Begin with nothing compiled."""
+        self._is_done = False
+
+    def on_start(self, event: Any) -> None:
+        module: str = event.data["dispatcher"].py_func.__module__
+        if self._is_done or not module.startswith(f"{__package__}."):  # others are kernels of the user's program
+            return
+        self._is_done = True
+        if not is_first_to_compile():
+            return
+        missing = KERNELS - compiled_kernels()
+        if missing > 0:
+            which, seconds = f"up to {missing} kernels", round(_KERNEL_S * missing)
+        else:
+            which, seconds = f"kernels of {module}, 1 or more,", _FURTHER_S
+        logger.warning("Compiling %s for this processor, once: about %d s of one core.", which, seconds)
+
+    def on_end(self, event: Any) -> None:
+        pass
+
+
+_KERNEL_S = 1.5  # mean time of a core for a kernel of a picture
+_FURTHER_S = 10  # time of a core for the few kernels of an effect
+event.register("numba:compile", CompilationReport())

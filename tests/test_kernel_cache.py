@@ -117,13 +117,82 @@ def test_kernels_are_marked_for_sources_and_processor(tmp_path, sources, monkeyp
     assert not has_kernels()
 
 
-def test_kernels_of_a_frame_are_marked_after_compilation(tmp_path, monkeypatch):
-    from gsrain_engine.editor.drawing.textures import compile_kernels
+COUNT = """
+import os
+import sys
+from numba.core.caching import NullCache
+from numba.core.dispatcher import Dispatcher
+from gsrain_engine.compile_cache import has_kernels
+from gsrain_engine.editor.drawing.textures import compile_kernels
 
+os.environ["NUMBA_CACHE_DIR"] = sys.argv[1]  # of the mark; Numba goes on with its own
+before = has_kernels()
+compile_kernels()
+modules = [module for name, module in sys.modules.items() if name.startswith("gsrain_engine.")]
+functions = [each for module in modules for each in vars(module).values() if isinstance(each, Dispatcher)]
+waiting = [each for each in functions if each.overloads]
+kernels = set()
+while waiting:  # those that were called, and all that they call
+    kernel = waiting.pop()
+    if kernel not in kernels:
+        kernels.add(kernel)
+        names = kernel.py_func.__code__.co_names
+        cells = [cell.cell_contents for cell in kernel.py_func.__closure__ or ()]
+        found = [kernel.py_func.__globals__.get(name) for name in names] + cells
+        waiting += [each for each in found if isinstance(each, Dispatcher)]
+print(before, has_kernels(), sum(not isinstance(each._cache, NullCache) for each in kernels))
+"""
+
+
+def test_kernels_of_a_frame_are_counted_and_marked_after_compilation(tmp_path):
+    command = [sys.executable, "-c", COUNT, str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["False", "True", str(cache.KERNELS)]
+
+
+def compiled(module):
+    """Compile a function as one of a module, and return what it computes."""
+    import numba
+
+    def double(x):
+        return 2 * x
+
+    double.__module__ = module
+    return numba.njit(double)(1)
+
+
+@pytest.fixture
+def reported():
+    """Context of a process that has compiled nothing yet."""
+    from numba.core import event
+
+    from gsrain_engine.kernels import CompilationReport
+
+    return lambda: event.install_listener("numba:compile", CompilationReport())
+
+
+def test_the_first_compilation_of_a_process_is_reported_with_a_number(tmp_path, monkeypatch, caplog, reported):
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    assert not has_kernels()
-    compile_kernels()
-    assert has_kernels()
+    (tmp_path / "raster.nbi").touch()
+    with reported():
+        compiled("program_of_a_user")
+        assert not caplog.records
+        assert compiled("gsrain_engine.rain.drops") == compiled("gsrain_engine.rain.streaks") == 2
+    (record,) = caplog.records
+    assert str(cache.KERNELS - 1) in record.getMessage() and record.levelname == "WARNING"  # shown without settings
+    caplog.clear()
+    with reported():  # another worker of the same command
+        compiled("gsrain_engine.rain.drops")
+    assert not caplog.records
+
+
+def test_a_kernel_that_no_picture_needs_is_reported_by_its_module(tmp_path, monkeypatch, caplog, reported):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    for number in range(cache.KERNELS):
+        (tmp_path / f"{number}.nbi").touch()
+    with reported():
+        compiled("gsrain_engine.evaluation.lidar")
+    assert "gsrain_engine.evaluation.lidar" in caplog.text
 
 
 def test_kernels_that_are_missing_are_compiled_by_another_process(tmp_path, monkeypatch):

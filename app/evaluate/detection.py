@@ -202,9 +202,7 @@ def detection(
                 output.mkdir(parents=True, exist_ok=True)
                 cache = open_cache(output, prepared, detectors, renderer.name, wet)
                 open_files.enter_context(cache)
-            advance = open_files.enter_context(
-                progress_bar("Detecting", len(prepared.frames) * len(trials), draws=True)
-            )
+            advance = open_files.enter_context(progress_bar("Detecting", len(prepared.frames) * len(trials)))
             open_files.callback(collector.close)
             networks = list(detectors.values())
             for image in evaluation.evaluate_images(prepared.pictures, networks, prepared.frames, trials, cache):

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from functools import cached_property
-from itertools import combinations_with_replacement
 
 import cv2
 import numpy as np
@@ -17,7 +16,8 @@ from ..datasets.undistort import undistort_frame
 from ..scene.objects import is_vehicle
 from ..scene.scene import rotation_to_z_up
 from ..scene.street.layout import Label
-from .base import ClearView, Image, Plane
+from .base import ClearView, Plane
+from .guided_filter import color_guided_filter
 from .normals import normals_from_depth
 from .scene_views import CachedViews
 
@@ -174,7 +174,7 @@ def _feathered(sky: Flags, image: UInt8[np.ndarray, "h w 3"]) -> Plane:
     flags = sky.astype(np.uint8)
     edge = cv2.dilate(flags, window) > cv2.erode(flags, window)
     guide = image.astype(np.float32) / np.float32(255)
-    share = color_guided_filter(sky.astype(np.float32), guide, np.ones_like(sky), radius, _SKY_SPREAD)
+    share = color_guided_filter(sky.astype(np.float32), guide, radius, _SKY_SPREAD)
     # Thin objects are darker than their surroundings; the sky's light passes around them, also in clouds.
     light = guide.mean(axis=2)
     size = 2 * max(round(_TWIGS * image.shape[1]), 1) + 1
@@ -193,7 +193,7 @@ def _along_edges(depth: Plane, measured: Plane, image: UInt8[np.ndarray, "h w 3"
     inverse = np.where(depth > 0, 1 / np.where(depth > 0, depth, 1), 0).astype(np.float32)
     guide = image.astype(np.float32) / np.float32(255)
     radius = max(round(_GUESS * depth.shape[1]), 2)
-    smooth = color_guided_filter(inverse, guide, depth > 0, radius, _GUESS_SPREAD)
+    smooth = color_guided_filter(inverse, guide, radius, _GUESS_SPREAD, depth > 0)
     bounded = np.clip(smooth, inverse[depth > 0].min(), inverse.max())
     return np.where(guessed, 1 / np.where(guessed, bounded, 1), depth).astype(np.float32)
 
@@ -232,31 +232,3 @@ def _in_box(view: CaptureFrame, box: TrackedBox, depth: Plane) -> Flags:
     inside = (np.abs(local[..., :2]) <= np.array([length, width]) / 2 + _MARGIN_M).all(axis=-1)
     inside &= (local[..., 2] >= _WHEELS_M) & (local[..., 2] <= height + _MARGIN_M)
     return inside | (depth == 0)
-
-
-def color_guided_filter(values: Plane, guide: Image, known: Flags, radius_px: int, spread: float) -> Plane:
-    """Fit values by a linear function of the guide's color in each window, and take the mean of the fits.
-
-    The guided filter of He, Sun and Tang (2013), over known values only; other pixels are filled from their neighbors.
-    `spread` is the standard deviation of color (0..1) below which nothing counts as an edge.
-    """
-    side = (2 * radius_px + 1, 2 * radius_px + 1)
-
-    def mean(each: np.ndarray) -> np.ndarray:
-        return np.asarray(cv2.blur(each, side, borderType=cv2.BORDER_REFLECT))
-
-    weight = known.astype(np.float32)
-    total = np.maximum(mean(weight), 1e-6)
-    color = mean(guide * weight[..., None]) / total[..., None]
-    value = mean(values * weight) / total
-    covariance = np.zeros((*values.shape, 3, 3), np.float32)
-    for i, j in combinations_with_replacement(range(3), 2):
-        product = mean(guide[..., i] * guide[..., j] * weight) / total - color[..., i] * color[..., j]
-        covariance[..., i, j] = covariance[..., j, i] = product
-    covariance[..., range(3), range(3)] += np.float32(spread**2)
-    with_value = mean(guide * (values * weight)[..., None]) / total[..., None] - color * value[..., None]
-    slope = np.linalg.solve(covariance, with_value[..., None])[..., 0]
-    offset = value - (slope * color).sum(axis=-1)
-    counts = (mean(weight) > 1e-6).astype(np.float32)  # only windows with a known value count
-    fitted = (mean(slope * counts[..., None]) * guide).sum(axis=-1) + mean(offset * counts)
-    return (fitted / np.maximum(mean(counts), 1e-6)).astype(np.float32)

@@ -27,6 +27,7 @@ from jaxtyping import jaxtyped
 from ..rain.keyframes import NO_KEYFRAMES, keyframes_of, rain_of
 from ..rain.settings import load_preset
 from ..safe_io.errors import convert_checked
+from ..safe_io.foreign_values import as_plain
 from ..scene.scene import Scene
 from .document import DocumentState, History, Step
 from .edits.members import with_path
@@ -381,11 +382,7 @@ def _encoded(value: Any) -> Any:
     if isinstance(value, np.ndarray) and value.dtype == np.bool_:
         bits = base64.b64encode(zlib.compress(np.packbits(value).tobytes(), 9)).decode()
         return {"shape": value.shape, "bits": bits}
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
-    if isinstance(value, Path):
-        return str(value)
-    raise NotImplementedError(f"{type(value).__name__} has no JSON form")
+    return as_plain(value)
 
 
 def _converted(value: Any, kind: Any) -> Any:

@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 from jaxtyping import Float32, UInt8
 
+from ..appearance.guided_filter import color_guided_filter
 from ..appearance.rainy_photo import composite_on_photo, photo_view
 from ..datasets.capture import Capture, CaptureError, CaptureFrame
 from ..datasets.depth_maps import completed_depths, measured_depths
@@ -96,7 +97,7 @@ _SWEEPS = 3  # nearest in time, for the distances of an image
 _MIN_MEASURED = 1e-3  # minimum share of measured pixels
 
 
-_GUIDED_SHARE, _GUIDED_EPS = 1 / 12, 3e-3  # radius over the width; variance of colors (0..1) that counts as an edge
+_GUIDED_SHARE, _GUIDED_SPREAD = 1 / 12, 3e-3**0.5  # radius over the width; deviation of colors (0..1) that is an edge
 
 
 def _refined(transmittance: Float32[np.ndarray, "h w"], photo: Colors) -> Float32[np.ndarray, "h w"]:
@@ -106,8 +107,8 @@ def _refined(transmittance: Float32[np.ndarray, "h w"], photo: Colors) -> Float3
     """
     radius = max(round(_GUIDED_SHARE * photo.shape[1]), 1)
     guide = photo.astype(np.float32) / 255
-    smooth = cv2.ximgproc.guidedFilter(guide, transmittance, radius, _GUIDED_EPS)
-    return np.clip(np.asarray(smooth, np.float32), transmittance.min(), transmittance.max())
+    smooth = color_guided_filter(transmittance, guide, radius, _GUIDED_SPREAD)
+    return np.clip(smooth, transmittance.min(), transmittance.max())
 
 
 @dataclass(frozen=True, slots=True, eq=False)

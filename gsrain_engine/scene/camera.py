@@ -16,6 +16,7 @@ DEFAULT_EXPOSURE_S = 0.004
 """Daylight shutter of driving cameras: 2.6-3.9 ms in a Waymo sample frame, rounded up."""
 
 _FARTHEST = 1e12  # larger numbers come from damaged files; their squares would soon overflow
+_ROUNDING = 1e-3  # of the numbers of a rotation
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -158,8 +159,7 @@ class Camera:
         """Build a camera from the values of a camera file; `source` names it in errors."""
         try:
             matrix = np.array(values["world_to_camera"], dtype=np.float64)
-            if matrix.shape != (4, 4):
-                raise SceneFormatError(source, f"world_to_camera has shape {matrix.shape}, expected 4x4")
+            _check_shape(matrix, source)
             fx, fy, cx, cy = (float(values[key]) for key in ("fx", "fy", "cx", "cy"))
             exposure_s = float(values.get("exposure_s", DEFAULT_EXPOSURE_S))
             lens = _convert(values, "lens", Lens, source)
@@ -171,17 +171,32 @@ class Camera:
             raise
         except (TypeError, ValueError, OverflowError) as error:
             raise SceneFormatError(source, f"camera field can't be read as a number: {error}") from None
-        camera._check(source)
+        camera.check(source)
         return camera
 
-    def _check(self, source: Path | str) -> None:
-        rotation = self.world_to_camera[:3, :3]
-        if not np.abs(self.world_to_camera).max() < _FARTHEST:
+    def check(self, source: Path | str = "camera") -> None:
+        """Raise `SceneFormatError`, which names `source` and the field, for numbers that no camera has."""
+        matrix = self.world_to_camera
+        _check_shape(matrix, source)
+        if not np.abs(matrix).max() < _FARTHEST:
             raise SceneFormatError(
                 source, f"world_to_camera must be a finite 4x4 matrix of numbers below {_FARTHEST:g}"
             )
-        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3) or np.linalg.det(rotation) < 0:
-            raise SceneFormatError(source, "world_to_camera must hold a rotation without scale or mirroring")
+        if np.abs(matrix[3] - [0, 0, 0, 1]).max() > _ROUNDING:
+            raise SceneFormatError(source, "the last row of world_to_camera must be 0, 0, 0, 1: it may be transposed")
+        rotation = matrix[:3, :3]
+        product, determinant = rotation @ rotation.T, np.linalg.det(rotation)
+        scale = float(np.cbrt(abs(determinant)))
+        if np.abs(product - scale**2 * np.eye(3)).max() > _ROUNDING * max(scale**2, 1):
+            raise SceneFormatError(source, "world_to_camera must hold a rotation, and its axes are not at right angles")
+        if determinant < 0:
+            raise SceneFormatError(
+                source,
+                "world_to_camera must hold a rotation without mirroring: of OpenGL's camera_to_world (y up, z "
+                "backward) it is np.linalg.inv(camera_to_world @ np.diag([1, -1, -1, 1])), with two axes turned over",
+            )
+        if abs(scale - 1) > _ROUNDING:
+            raise SceneFormatError(source, f"world_to_camera must hold a rotation without scale, not of {scale:.4g}")
         if not (1 <= self.width <= 16384 and 1 <= self.height <= 16384):
             raise SceneFormatError(source, f"size {self.width}x{self.height} must be within 1..16384 px")
         pixels = (self.fx, self.fy, self.cx, self.cy)
@@ -194,6 +209,12 @@ class Camera:
                 self.lens.check_drawable()
             except ValueError as error:
                 raise SceneFormatError(source, str(error)) from None
+
+
+def _check_shape(matrix: np.ndarray, source: Path | str) -> None:
+    if matrix.shape != (4, 4):
+        hint = "; append the row 0, 0, 0, 1" if matrix.shape == (3, 4) else ""
+        raise SceneFormatError(source, f"world_to_camera has shape {matrix.shape}, expected 4x4{hint}")
 
 
 def _convert(values: dict[str, Any], name: str, kind: type[Any], source: Path | str) -> Any:

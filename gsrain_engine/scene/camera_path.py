@@ -10,6 +10,7 @@ import numpy as np
 import scipy  # loads its submodules on first use: most scenes are opened without a camera path
 from jaxtyping import Float64
 
+from ..safe_io.foreign_values import as_array
 from .camera import DEFAULT_EXPOSURE_S, Camera
 from .easing import Eased, Easing, KeyEasing, apply_easing, apply_key_easings
 from .geometry import matrices_from_quaternions, quaternions_from_matrices
@@ -140,6 +141,8 @@ class CameraPath:
     """Easing from each keyframe to the next one; None, and all of an empty tuple, follow `easing`."""
 
     def __post_init__(self) -> None:
+        for name in ("times_s", "positions", "quaternions_wxyz", "vertical_fov_deg"):
+            object.__setattr__(self, name, as_array(getattr(self, name), np.float64, f"CameraPath.{name}"))
         keys = len(self.times_s)
         arrays = (self.times_s, self.positions, self.quaternions_wxyz, self.vertical_fov_deg)
         if [len(array) for array in arrays] != [keys] * 4:

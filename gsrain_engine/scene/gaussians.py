@@ -8,6 +8,8 @@ from typing import Any, ParamSpec, TypeVar
 import numpy as np
 from jaxtyping import Float, Float32, Float64, Int, UInt32
 
+from ..safe_io.foreign_values import as_array
+
 SH_C0 = 0.28209479177387814
 """Spherical harmonic of degree 0, 1/(2 sqrt(pi)): color = SH_C0 * sh[0] + 0.5 (3DGS, Kerbl et al. 2023)."""
 
@@ -15,11 +17,11 @@ COEFFICIENTS_OF_DEGREE = (1, 4, 9, 16)
 """Number of spherical harmonics up to degree 0, 1, 2, 3."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class Gaussians:
     """N Gaussians, activated: logs and logits exist only in file formats and optimizers.
 
-    Treat the arrays as immutable.
+    Treat the arrays as immutable. Lists, tensors and arrays of other types become arrays of float32.
     """
 
     means: Float32[np.ndarray, "n 3"]
@@ -38,6 +40,10 @@ class Gaussians:
     `cuda` and training draw them like others."""
 
     def __post_init__(self) -> None:
+        for name in ("means", "scales", "quaternions", "opacities", "sh"):
+            object.__setattr__(self, name, as_array(getattr(self, name), np.float32, f"Gaussians.{name}"))
+        if self.sh.ndim != 3:
+            raise ValueError(f"Gaussians.sh has shape {self.sh.shape}, expected (N, 1, 4, 9 or 16, 3)")
         n, k = len(self.means), self.sh.shape[1]
         shapes = {"means": (n, 3), "scales": (n, 3), "quaternions": (n, 4), "opacities": (n,), "sh": (n, k, 3)}
         for name, shape in shapes.items():

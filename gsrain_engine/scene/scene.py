@@ -474,7 +474,7 @@ class Actor(SceneNode):
         return self.track.pose(time_s)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class Scene:
     """Content of a scene folder.
 
@@ -745,7 +745,9 @@ def take_gaussians(
 
 
 def _check_wet_colors(key: str, gaussians: Gaussians, wet_sh: Float32[np.ndarray, "_ _ 3"] | None) -> None:
-    if wet_sh is not None and wet_sh.shape != gaussians.sh.shape:
+    if not isinstance(gaussians, Gaussians):  # pyright: ignore[reportUnnecessaryIsInstance]
+        raise TypeError(f"{key}: gaussians of type {type(gaussians).__name__}, expected Gaussians")
+    if wet_sh is not None and np.shape(wet_sh) != gaussians.sh.shape:
         raise ValueError(
-            f"{key}: wet colors have shape {wet_sh.shape}, expected {gaussians.sh.shape} as the clear ones"
+            f"{key}: wet colors have shape {np.shape(wet_sh)}, expected {gaussians.sh.shape} as the clear ones"
         )

@@ -215,3 +215,41 @@ def test_a_detector_and_transfer_weights_are_found(home):
     file.parent.mkdir(parents=True)
     file.write_bytes(bytes(3_000_000))
     assert doctor.find_transfer_weights()[1:] == (True, f"{file} (3 MB)")
+
+
+@pytest.fixture
+def older_numpy(monkeypatch):
+    """An environment in which another package has brought an older NumPy."""
+    version = doctor.metadata.version
+    monkeypatch.setattr(doctor.metadata, "version", lambda name: "1.26.4" if name == "numpy" else version(name))
+    others = [("nuscenes-devkit", ["numpy<2.0.0,>=1.22.0", "cachetools"]), ("open3d", ["numpy>=1.18"])]
+    packages = [SimpleNamespace(metadata={"Name": name}, requires=lines) for name, lines in others]
+    monkeypatch.setattr(doctor.metadata, "distributions", lambda: packages)
+
+
+def test_a_package_of_another_version_comes_with_what_limits_it(older_numpy, monkeypatch, capsys):
+    _, found, what = doctor.find_requirements()
+    assert not found and "numpy 1.26.4" in what and "nuscenes-devkit (numpy<2.0.0,>=1.22.0)" in what
+    assert ">=2.1" in what and "open3d" not in what
+
+    def fail(*args, **kwargs):
+        raise AttributeError("module 'numpy' has no attribute 'bitwise_count'")
+
+    monkeypatch.setattr("app.main.copy_context", lambda: SimpleNamespace(run=fail))
+    assert run(["info", "street"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "numpy 1.26.4" in line and "bitwise_count" in line
+
+
+def test_an_optional_package_of_another_version_is_not_there(monkeypatch):
+    version = doctor.metadata.version
+    monkeypatch.setattr(doctor.metadata, "version", lambda name: "0.2.7" if name == "viser" else version(name))
+    rows = doctor.find_package("viser"), doctor.find_requirements()
+    assert [row.found for row in rows] == [False, True] and "viser 0.2.7" in rows[0].what
+
+
+@pytest.mark.parametrize("packages", [["opencv-python-headless"], ["opencv-contrib-python-headless", "opencv-python"]])
+def test_any_build_of_opencv_will_do_and_several_are_named(packages, monkeypatch):
+    monkeypatch.setattr(doctor.metadata, "packages_distributions", lambda: {"cv2": packages})
+    row = doctor.find_opencv()
+    assert row.found and all(each in row.what for each in packages) and ("share" in row.what) == (len(packages) > 1)

@@ -12,9 +12,10 @@ from msgspec.structs import replace as replace_fields
 from ...scene import geometry
 from ...scene.geometry import linear_to_srgb, srgb_to_linear
 from ..base import ClearView, Image, Plane
+from ..guided_filter import guided_filter
 from ..normals import view_directions, view_rays
 from .masks import SurfaceShares, smoothstep
-from .noise import guided_filter, smooth_noise_at
+from .noise import smooth_noise_at
 from .settings import WetSettings
 
 LUMINANCE = geometry.LUMINANCE.astype(np.float32)

@@ -9,9 +9,10 @@ from jaxtyping import Float, Float32
 from ...scene.geometry import srgb_to_linear
 from ...scene.water_surface import WATER_REFLECTANCE, wet_albedo
 from ..base import ClearView, Image, Plane
+from ..guided_filter import guided_filter
 from .illumination import LUMINANCE, overcast_sky
 from .masks import SurfaceShares, smoothstep
-from .noise import guided_filter, smooth_noise_at
+from .noise import smooth_noise_at
 from .settings import WetSettings
 
 MATTE_GROUND = 0.5

@@ -1,4 +1,4 @@
-"""Procedural noise by world position, the same in all views, and an edge-preserving guided filter."""
+"""Procedural noise by world position, the same in all views."""
 
 from functools import lru_cache
 
@@ -75,17 +75,3 @@ def tilt_normals(normals: Image, slopes: Float32[np.ndarray, "h w 2"], by: float
     """Tilt upward unit normals by slopes times a number."""
     tilts = np.concatenate([np.float32(by) * slopes, np.zeros_like(slopes[..., :1])], axis=-1)
     return (normals + tilts) / np.sqrt(1 + np.sum(tilts * tilts, axis=-1, keepdims=True))
-
-
-def guided_filter(values: Plane, guide: Plane, radius: int, variance: float) -> Plane:
-    """Smooth `values` along the edges of `guide`, as a local linear function of it (He, Sun and Tang 2013).
-
-    `radius` is that of the window in pixels, `variance` that of the guide from which it has an edge.
-    """
-    size = (2 * radius + 1, 2 * radius + 1)
-    mean, mean_guide = cv2.blur(values, size), cv2.blur(guide, size)
-    together = cv2.blur(values * guide, size) - mean * mean_guide
-    alone = cv2.blur(guide * guide, size) - mean_guide**2
-    slope = together / (np.maximum(alone, 0) + variance)
-    offset = mean - slope * mean_guide
-    return (cv2.blur(slope, size) * guide + cv2.blur(offset, size)).astype(np.float32)
