@@ -147,8 +147,8 @@ def _model_with_images(path: Path, folders: list[Path]) -> tuple[Path, "ColmapMo
         return folders[0], models[0], folder
     there, images = path / _IMAGE_FOLDERS[0], models[0].images
     raise CaptureError(
-        f"{folders[0]}: none of its {len(images)} images lies in {path} ({images[0].name}, say); put them into {there}, "
-        f"or a link to where they are (ln -s FOLDER {there}, and --allow-outside)"
+        f"{folders[0]}: none of its {len(images)} images lies in {path} ({images[0].name}, say); put them into "
+        f"{there}, or a link to where they are (ln -s FOLDER {there}, and --allow-outside)"
     )
 
 
