@@ -58,6 +58,18 @@ def station(rows: list[Row]) -> list[str]:
     return [_station(re.sub(r"\D", "", time), rate, velocity_major(counts)) for time, rate, counts in rows]
 
 
+def full(rows: list[Row]) -> list[str]:
+    """Fields 01 to 30 of the telegram and the spectra; a clock that nobody set, and the logger's time at the end."""
+    lines: list[str] = []
+    for time, rate, counts in rows:
+        head = [rate, "0005.90", "62", "63", "   RA", "   R", "20.902"]
+        head += ["20000", "00060", "14279", "00080", "020", "304555", "2.00.6", "2.00.1", "0.16", "23.9", "0"]
+        head += ["17:02:49 11.05.2015", "00:10:03", "28.11.2013", "", "", "000.590", "000", "00.537", "0000.5"]
+        head += ["0005.90", "20.90", "0004.51"]
+        lines.append(";".join([*head, *["-9.999"] * 32, *["00.000"] * 32, *velocity_major(counts), time, ""]))
+    return lines
+
+
 def locarno(rows: list[Row]) -> list[str]:
     return [locarno_line(_day(time, "{d}-{m}-{y}") + time[10:], counts, rate) for time, rate, counts in rows]
 
@@ -130,7 +142,7 @@ def scamp(rows: list[Row]) -> list[str]:
     ]
 
 
-STATING_DIALECTS = (station, telegrams, pyatmoslogger, scamp)
+STATING_DIALECTS = (station, full, telegrams, pyatmoslogger, scamp)
 """Those that write each record's length, a minute."""
 
 SILENT_DIALECTS = (locarno, asdo, tagged, campbell_columns, campbell_field)

@@ -31,7 +31,8 @@ from .io.arrays import read_bytes
 from .io.images import name_on_disk, oriented_size, read_color, read_mask
 from .io.records import read_point_ply
 
-_LAYOUTS = ("0", "sparse", "sparse/*", "colmap/sparse/*", "colmap_derived/sparse/*", "distorted/sparse/*")
+_LAYOUTS = ("0", "sparse", "sparse/*", "colmap/sparse/*", "colmap_derived/sparse/*", "distorted/sparse/*",
+            "dense/sparse", "dense/*/sparse")  # fmt: skip
 _IMAGE_FOLDERS = ("images", "input", "image", ".")
 _FOLDERS_UP = 4
 _LARGEST_NUMBER = 1e12
@@ -49,14 +50,15 @@ def read_colmap(path: Path) -> Capture:
     COLMAP's layout (masks/NAME.png next to images/, black is masked out) are included.
     COLMAP's newer rigs and frames are ignored. Raises `CaptureError`.
     """
-    model_folder, *others = sorted(_models(path), key=lambda folder: _images_file(folder).stat().st_size, reverse=True)
-    model = _read_model(model_folder)
-    if not model.images:
-        raise CaptureError(f"{model_folder}: the model has no registered image")
+    folders = sorted(_models(path), key=lambda folder: _images_file(folder).stat().st_size, reverse=True)
+    model_folder, model, folder = _model_with_images(path, folders)
+    others = [each for each in folders if each != model_folder]
     unread = abbreviated_names([str(each) for each in others])
-    problems = [f"Of several models {model_folder} is the largest; unread: {unread}."] if others else []
+    problems = (
+        [f"Of several models {model_folder} is read, the largest with images; unread: {unread}."] if others else []
+    )
     names_file = _images_file(model_folder)
-    folder = _image_folder(path, model_folder, model, names_file)
+    check_inside(folder.parent, [folder.name], names_file)
     check_inside(folder, (name_on_disk(folder, image.name) for image in model.images), names_file)
     masks = (_mask_file(folder, image.name) for image in model.images)
     check_inside(folder.parent, (str(mask) for mask in masks if mask is not None), names_file)
@@ -125,29 +127,40 @@ def _points_file(folder: Path) -> Path | None:
     return next((file for file in files if file.is_file()), None)
 
 
-def _image_folder(path: Path, model_folder: Path, model: "ColmapModel", names_file: Path) -> Path:
-    """Folder of the images: next to the model, above it, or any other folder of `path`.
+def _model_with_images(path: Path, folders: list[Path]) -> tuple[Path, "ColmapModel", Path]:
+    """First model with images next to it or above it, and their folder; otherwise the first, images anywhere in `path`.
 
-    Chooses the folder with most of the first ten images. Raises `CaptureError` if none has any, or if it is a link that
-    leads out of its parent folder.
+    So the model of undistorted images is not mixed with their originals. Raises `CaptureError` if there are no images.
     """
-    above = [path, *(model_folder.resolve().parents[:_FOLDERS_UP]), model_folder]
+    models: list[ColmapModel] = []
+    for model_folder in folders:
+        model = _read_model(model_folder)
+        if not model.images:
+            raise CaptureError(f"{model_folder}: the model has no registered image")
+        models.append(model)
+        above = [path, *(model_folder.resolve().parents[:_FOLDERS_UP]), model_folder]
+        folder = _folder_with_images([base / name for base in above for name in _IMAGE_FOLDERS], model)
+        if folder is not None:
+            return model_folder, model, folder
+    folder = _folder_with_images([each for each in (*path.glob("*/"), *path.glob("*/*/")) if each.is_dir()], models[0])
+    if folder is not None:
+        return folders[0], models[0], folder
+    there, images = path / _IMAGE_FOLDERS[0], models[0].images
+    raise CaptureError(
+        f"{folders[0]}: none of its {len(images)} images lies in {path} ({images[0].name}, say); put them into "
+        f"{there}, or a link to where they are (ln -s FOLDER {there}, and --allow-outside)"
+    )
+
+
+def _folder_with_images(folders: list[Path], model: "ColmapModel") -> Path | None:
+    """Folder with most of a model's first ten images; None if none has any."""
     names = [image.name for image in model.images[:10]]
 
     def count(folder: Path) -> int:
         return sum((folder / name_on_disk(folder, name)).is_file() for name in names)
 
-    standard = [base / name for base in above for name in _IMAGE_FOLDERS]
-    for folders in (standard, [each for each in (*path.glob("*/"), *path.glob("*/*/")) if each.is_dir()]):
-        best = max(folders, key=count, default=None)
-        if best is not None and count(best):
-            check_inside(best.parent, [best.name], names_file)
-            return best
-    there = path / _IMAGE_FOLDERS[0]
-    raise CaptureError(
-        f"{model_folder}: none of its {len(model.images)} images lies in {path} ({names[0]}, say); put them into "
-        f"{there}, or a link to where they are (ln -s FOLDER {there}, and --allow-outside)"
-    )
+    best = max(folders, key=count, default=None)
+    return best if best is not None and count(best) else None
 
 
 def _mask_file(folder: Path, name: str) -> Path | None:

@@ -199,9 +199,29 @@ def _station(line: str) -> SpectrumRecord:
     )
 
 
+_FULL_HEAD, _FULL_CLASSES = 30, 64
+
+
+def _full(line: str) -> SpectrumRecord:
+    """Parse fields 01 to 30 of a telegram, 32 N(D), 32 v(D) and 1024 counts, joined by ;, and the logger's time."""
+    values = line.strip().split(";")
+    counts = values[_FULL_HEAD + _FULL_CLASSES :][:_COUNTS]
+    logged = "".join(values[_FULL_HEAD + _FULL_CLASSES + _COUNTS :][:1])
+    if len(counts) < _COUNTS:
+        raise RecordError(f"{len(counts)} drop counts instead of {_COUNTS}: the record is cut off")
+    own = f"{values[20]} {values[19]}"  # of the instrument, whose clock is rarely set
+    return SpectrumRecord(
+        time=parse_utc(logged, "%Y-%m-%d %H:%M:%S") if logged else parse_utc(own, "%d.%m.%Y %H:%M:%S"),
+        seconds=parse_interval_s(values[8]),
+        reported_mm_h=parse_rain_rate(values[0]),
+        counts=parse_drop_counts(counts, _COUNTS),
+    )
+
+
 _DIALECTS = (
     Dialect(re.compile(r'^\d+,[\d.]+,[\d.]+,"\d\d-\d\d-\d{4} \d\d:\d\d:\d\d","'), _locarno),
     Dialect(re.compile(r"^\d{14}(\.\d+)?;[^;]*;[^;]*;[^;]*;[^;]*;[^;]*;\d+;"), _station),
+    Dialect(re.compile(r"^(\d{4}\.\d{3}|NAN);\d{4}\.\d\d;\d\d;\d\d;[^;]*;[^;]*;-?\d+\.\d+;\d{4,5};\d{5};"), _full),
 )
 
 # Telegrams (Parsivel2 manual, section 11.2)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from colmap_files import POINTS, SHIFTS, write_binary, write_pictures, write_text
+from colmap_files import POINTS, SHIFTS, TWO, write_binary, write_pictures, write_text
 from gsrain_engine.datasets.capture import Capture, CaptureError, CaptureFrame, OutsideError, readable_images
 from gsrain_engine.datasets.capture_folder import write_views
 from gsrain_engine.datasets.geometry import project_points
@@ -363,6 +363,18 @@ def test_folders_of_images_are_cameras_with_masks_and_the_largest_model_is_read(
     assert (left.name, left.sensor, right.name, right.sensor) == ("left_1", "left", "right_1", "right")
     np.testing.assert_array_equal(left.mask, np.tri(48, 64) > 0)
     assert right.mask is None
+
+
+def test_the_model_of_undistorted_pictures_is_not_mixed_with_the_one_before(tmp_path: Path) -> None:
+    """COLMAP's dense folder has cropped pictures and a model of their own; the pictures before are often not there."""
+    write_text(tmp_path / "sparse/0", ("a.png", "b.png", "c.png"), "7 OPENCV 66 50 50 51 33 25 0.1 0 0 0")
+    write_text(tmp_path / "dense/0/sparse", TWO, "7 PINHOLE 64 48 50 51 32 24")
+    write_pictures(tmp_path / "dense/0/images")
+    capture = open_capture(tmp_path)
+    assert [(view.name, view.lens, view.camera.width) for view in capture] == [("a", None, 64), ("b", None, 64)]
+    assert "dense/0/sparse is read" in capture.problems[0]
+    write_pictures(tmp_path / "images", ("a.png", "b.png", "c.png"), (66, 50))
+    assert [view.camera.width for view in open_capture(tmp_path)] == [66, 66, 66]
 
 
 @pytest.mark.parametrize(

@@ -116,7 +116,7 @@ _ROLES_BY_DECODER: dict[str, tuple[OutputRole, ...]] = {
     "logits": ("boxes", "scores"),
 }
 _OUTPUT_ROLES: dict[str, OutputRole] = {
-    **dict.fromkeys(("boxes", "bboxes", "pred_boxes", "det_boxes", "detection_boxes"), "boxes"),
+    **dict.fromkeys(("boxes", "bboxes", "dets", "pred_boxes", "det_boxes", "detection_boxes"), "boxes"),
     **dict.fromkeys(("scores", "logits", "pred_scores", "pred_logits", "det_scores", "detection_scores"), "scores"),
     **dict.fromkeys(("labels", "classes", "pred_classes", "det_classes", "detection_classes"), "classes"),
     **dict.fromkeys(("num_dets", "num_detections", "num_predictions"), "count"),

@@ -203,6 +203,14 @@ def test_inputs_and_outputs_of_other_names_are_described(tmp_path: Path):
             open_detector(path)
 
 
+def test_confidences_may_be_a_column_of_the_boxes(tmp_path: Path):
+    tables = {"dets": np.concatenate([CORNERS, SCORES[..., None]], axis=2), "labels": np.array([[0, CAR, 1]])}
+    path = write_constant(tmp_path / "end2end.onnx", tables)  # as MMDeploy writes them
+    path.with_suffix(".yaml").write_text("decode: boxes_scores_classes\nclasses: coco\n")
+    (found,) = open_detector(path).detect(PICTURE)
+    assert (found.class_name, found.box_xyxy) == ("car", pytest.approx((25, 12.5, 75, 37.5)))
+
+
 def test_rows_of_any_order_are_described(tmp_path: Path):
     table = np.array([[-1, 0, 0, 0, 0, 0], [CAR, 0.9, 16, 24, 48, 40]])  # as PaddleDetection writes them
     path = write_constant(tmp_path / "paddle.onnx", [table], inputs={"scale_factor": (1, ("N", 2))})
