@@ -6,6 +6,7 @@ import os
 import secrets
 import shutil
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -17,7 +18,7 @@ from msgspec import Meta
 from ..render.renderer import RenderMode
 from ..safe_io.limits import read_file
 from ..scene.files import FileLock, sentence_of, whole_file
-from ..scene.formats.scene_folder import SCENE_FILE, FileCache, write_scene_folder
+from ..scene.formats.scene_folder import SCENE_FILE, FileCache, scene_folder_files, write_scene_folder
 from ..scene.scene import Scene
 from .preferences import state_folder
 from .viewport.camera import FASTEST_M_S, SLOWEST_M_S, OrbitCamera
@@ -31,11 +32,13 @@ _MAX_NAME_BYTES = 200  # of a scene folder's name within its autosave's name; fi
 
 
 class FileFingerprint(msgspec.Struct, frozen=True, kw_only=True):
-    """State of a folder's `scene.json`, to detect changes by other programs."""
+    """State of a folder's `scene.json` and of the files that it names, to detect changes by other programs."""
 
     modified_ns: int
     size: int
     digest: str
+    files: dict[str, tuple[int, int]] = {}
+    """Modification time (ns) and bytes of each file, by its name in the folder."""
 
 
 def fingerprint_of(folder: Path) -> FileFingerprint | None:
@@ -46,11 +49,28 @@ def fingerprint_of(folder: Path) -> FileFingerprint | None:
     except OSError:
         return None
     digest = hashlib.blake2b(data, digest_size=16).hexdigest()
-    return FileFingerprint(modified_ns=status.st_mtime_ns, size=len(data), digest=digest)
+    try:
+        places = scene_folder_files(folder)[1:]
+        files = {str(place.relative_to(folder.resolve())): _state(place) for place in places}
+    except (OSError, ValueError):  # a file is missing
+        files = {}
+    return FileFingerprint(modified_ns=status.st_mtime_ns, size=len(data), digest=digest, files=files)
+
+
+def _state(file: Path) -> tuple[int, int]:
+    status = file.stat()
+    return status.st_mtime_ns, status.st_size
 
 
 def has_changed(folder: Path, since: FileFingerprint | None) -> bool:
-    """Return whether the folder holds a scene with other content; a new modification time alone does not count."""
+    """Return whether the folder holds a scene with other content; a removed file can't be overwritten.
+
+    A new modification time alone does not count of `scene.json`, but of the large files.
+    """
+    for name, state in ({} if since is None else since.files).items():
+        with suppress(OSError):
+            if _state(folder / name) != state:
+                return True
     try:
         status = (folder / SCENE_FILE).stat()
     except OSError:

@@ -7,6 +7,7 @@ import threading
 from concurrent.futures import ThreadPoolExecutor
 from multiprocessing.shared_memory import SharedMemory
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import psutil
@@ -14,6 +15,7 @@ import pytest
 
 from editor.files.open_document import full_disk
 from editor.job_work import deaf, ended, endless, failing, hungry, killed, leaving, painting, succeeding
+from gsrain_engine.editor.jobs import process
 from gsrain_engine.editor.jobs.job import Job, JobError, JobRunner, MetricCurves, duration_text
 from gsrain_engine.editor.jobs.process import SharedImage
 from gsrain_engine.scene.progress import Progress
@@ -257,6 +259,24 @@ def test_curves_are_the_means_of_many_steps_by_metric():
     steps, losses = curves.curve("loss")
     assert len(steps) == 400 and steps[0] == 3.0 and np.array_equal(losses, 2 * steps)
     assert (curves.curve("speed").tolist(), curves.curve("unknown").shape) == ([[0.25], [3.0]], (2, 0))
+
+
+@pytest.mark.parametrize("lacks", ["the place", "room"])
+def test_jobs_run_without_pictures_where_there_is_no_shared_memory(runner, monkeypatch, lacks):
+    if lacks == "room":
+        monkeypatch.setattr(process.os, "statvfs", lambda _: SimpleNamespace(f_bavail=1, f_frsize=4096))
+    else:
+        monkeypatch.setattr(process, "SharedMemory", full_disk)
+    ours = SharedImage()
+    theirs = SharedImage(ours.name)
+    theirs.write(np.zeros((4, 5, 3), np.uint8))
+    assert ours.take() is None
+    for image in (theirs, ours):
+        image.close()
+    places = Places()
+    job = runner.start(places.job(succeeding, lambda _: "result"), places.take)
+    job.wait(60)
+    assert job.state == "finished" and places.results == [("result", True)]
 
 
 def test_a_reader_of_shared_images_never_gets_half_an_image():

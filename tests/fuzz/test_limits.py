@@ -485,20 +485,27 @@ def test_columns_of_a_rollout_that_unpack_to_far_more(tmp_path: Path) -> None:
         read_rollout_parquet(path)
 
 
-@pytest.mark.parametrize("is_absolute", [False, True])
-def test_detectors_whose_numbers_lie_outside_their_folder(is_absolute: bool, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "data", ["../outside.bin", "{outside}", "link.bin", "pipe.bin", "short.bin", "folder", "none.bin"]
+)
+@pytest.mark.parametrize("offset", [0, 1 << 62])
+def test_detectors_whose_numbers_lie_outside_their_folder_or_nowhere(data: str, offset: int, tmp_path: Path) -> None:
     pytest.importorskip("onnxruntime")
     import onnx
 
-    outside = tmp_path / "outside.bin"
+    outside, inside = tmp_path / "outside.bin", tmp_path / "inside"
     outside.write_bytes(np.zeros(1800, np.float32).tobytes())
-    (tmp_path / "inside").mkdir()
-    path = write_constant(tmp_path / "inside" / "a.onnx", [rows()], metadata=NAMES)
+    (inside / "folder").mkdir(parents=True)
+    (inside / "short.bin").write_bytes(bytes(100))
+    (inside / "link.bin").symlink_to(outside)
+    os.mkfifo(inside / "pipe.bin")
+    path = write_constant(inside / "a.onnx", [rows()], metadata=NAMES)
     model = onnx.load(path)
     tensor = model.graph.initializer[0]
     tensor.ClearField("raw_data")
     tensor.data_location = onnx.TensorProto.EXTERNAL
-    tensor.external_data.add(key="location", value=str(outside) if is_absolute else "../outside.bin")
+    tensor.external_data.add(key="location", value=data.format(outside=outside))
+    tensor.external_data.add(key="offset", value=str(offset))
     path.write_bytes(model.SerializeToString())
-    with pytest.raises(ValueError, match=r"a\.onnx: "):
+    with limited_time(20), pytest.raises(ValueError, match=r"a\.onnx: "):
         open_detector(path)

@@ -218,24 +218,27 @@ class WorkerThread:
 # Latest preview in shared memory, read without blocking
 
 _MAX_PIXELS = 1024 * 768
+_SHARED_PLACE = "/dev/shm"  # of Linux
 _NUMBERS = 3  # version of the image, odd while it is being written; its height and its width
 
 
 class SharedImage:
     """An image that one process writes and another one copies; only the latest counts.
 
-    The process that creates it frees it; another one attaches by `name`.
+    The process that creates it frees it; another one attaches by `name`. Where the system has no shared memory, or too
+    little, the name is empty and there are no images.
     """
 
     def __init__(self, name: str | None = None) -> None:
-        size = 8 * _NUMBERS + 3 * _MAX_PIXELS
-        self._memory = SharedMemory(name, create=name is None, size=size if name is None else 0)
-        self.name = self._memory.name
-        self._is_own, self._is_closed = name is None, False
+        self._memory = _shared_memory(name)
+        self.name = "" if self._memory is None else self._memory.name
+        self._is_own, self._is_closed = name is None, self._memory is None
         self._version = 0
 
     def write(self, pixels: UInt8[np.ndarray, "h w 3"]) -> None:
         """Publish an image; larger ones are scaled down."""
+        if self._is_closed:
+            return
         shrink = np.sqrt(pixels.shape[0] * pixels.shape[1] / _MAX_PIXELS)
         if shrink > 1:
             size = max(1, int(pixels.shape[1] / shrink)), max(1, int(pixels.shape[0] / shrink))
@@ -263,6 +266,7 @@ class SharedImage:
         """Close the memory; its creator frees it. Further calls do nothing."""
         if not self._is_closed:
             self._is_closed = True
+            assert self._memory is not None
             self._memory.close()
             if self._is_own:
                 self._memory.unlink()
@@ -270,12 +274,27 @@ class SharedImage:
     # Arrays are created anew each time: memory that an array refers to can't be closed.
 
     def _numbers(self) -> Int64[np.ndarray, " numbers"]:
-        assert self._memory.buf is not None, "closed"
+        assert self._memory is not None and self._memory.buf is not None, "closed"
         return np.frombuffer(self._memory.buf, np.int64, _NUMBERS)
 
     def _pixels(self, height: int, width: int) -> UInt8[np.ndarray, "h w 3"]:
-        assert self._memory.buf is not None, "closed"
+        assert self._memory is not None and self._memory.buf is not None, "closed"
         return np.frombuffer(self._memory.buf, np.uint8, 3 * height * width, 8 * _NUMBERS).reshape(height, width, 3)
+
+
+def _shared_memory(name: str | None) -> SharedMemory | None:
+    """Create shared memory, or attach to one of a name; None if the system has none."""
+    if name is not None:
+        return SharedMemory(name) if name else None
+    size = 8 * _NUMBERS + 3 * _MAX_PIXELS
+    try:
+        if sys.platform == "linux":
+            place = os.statvfs(_SHARED_PLACE)
+            if place.f_bavail * place.f_frsize < size:
+                return None  # writing to it would end the process by SIGBUS
+        return SharedMemory(create=True, size=size)
+    except OSError:
+        return None
 
 
 # Watchdog

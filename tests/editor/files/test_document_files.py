@@ -265,6 +265,25 @@ def test_a_drive_plays_in_the_scene_that_it_was_started_in_alone(editor, tmp_pat
     assert editor.rollouts.playing is found[0]
 
 
+@pytest.mark.parametrize("saves_first", [False, True])
+def test_a_layer_changed_by_someone_else_is_noticed(editor, home, saves_first):
+    delete_every_third(editor)
+    if saves_first:
+        editor.files.save()
+        settle(editor)
+        assert editor.status.question is None and not editor.files.has_changes
+        editor.document.edit("Rename", replace_scene, replace(editor.document.scene, name="later"))
+    first, second, *_ = sorted(home.rglob("*.ply"))
+    first.unlink()  # can't be overwritten
+    content = second.read_bytes() + b"theirs"
+    second.write_bytes(content)
+    editor.files.save()
+    assert editor.status.question.title == "Changed on disk" and second.read_bytes() == content
+    answer(editor, "Overwrite")
+    assert editor.status.question is None and not editor.files.has_changes
+    assert read_scene(home).gaussian_count == editor.document.scene.gaussian_count
+
+
 def test_revert_asks_and_reads_again(editor):
     delete_every_third(editor)
     editor.files.revert()
