@@ -281,8 +281,9 @@ def _check_used(given: Mapping[str, Any], export: ExportSettings, sheet: str | N
         without |= dict.fromkeys(("--duration", "--fps", "--to"), "a still is one moment, which --time sets")
     if sheet is not None:
         without |= dict.fromkeys(_NOT_OF_SHEETS, "a sheet is one image of one moment in the intensities of --sheet")
-    for name in without.keys() & given.keys():
-        raise ValueError(f"{name} has no effect: {without[name]}")
+    for name, reason in without.items():
+        if name in given:
+            raise ValueError(f"{name} has no effect: {reason}")
 
 
 _RAIN = "--rain", "--preset", "--rain-keyframes"
