@@ -118,7 +118,7 @@ def render(
     check_within("--duration", duration, 0, 36_000, "s", is_open=True)
     if frame is not None and frame < 0:
         raise ValueError(f"--frame {frame}: must be 0 or more")
-    given = _given(recording) | _given(rain_options) | {
+    given = _option_values(recording) | _option_values(rain_options) | {
         "--camera": camera, "--camera-path": camera_path, "--depth": depth or None, "--duration": duration,
         "--frame": frame, "--labels": labels, "--mode": None if mode == "splats" else mode,
         "--preset": rain_options.preset, "--rain-keyframes": rain_keyframes,
@@ -261,7 +261,7 @@ def _record(frames: Iterator[Progress], renderer: Renderer, state: RainPropertie
     }
 
 
-def _given(options: StructOptions) -> dict[str, Any]:
+def _option_values(options: StructOptions) -> dict[str, Any]:
     """Values of the options that were set, by the option's name."""
     names = option_names(options.kind)
     return {names[field]: value for field, value in options.changes().items()}
@@ -281,8 +281,9 @@ def _check_used(given: Mapping[str, Any], export: ExportSettings, sheet: str | N
         without |= dict.fromkeys(("--duration", "--fps", "--to"), "a still is one moment, which --time sets")
     if sheet is not None:
         without |= dict.fromkeys(_NOT_OF_SHEETS, "a sheet is one image of one moment in the intensities of --sheet")
-    for name in without.keys() & given.keys():
-        raise ValueError(f"{name} has no effect: {without[name]}")
+    for name, reason in without.items():
+        if name in given:
+            raise ValueError(f"{name} has no effect: {reason}")
 
 
 _RAIN = "--rain", "--preset", "--rain-keyframes"

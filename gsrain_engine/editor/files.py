@@ -386,7 +386,7 @@ class Files:
             kinds = f"{', '.join(first)} or {last}"
             self._status.report(f"{path}: Export writes one file, whose name ends in {kinds}.")
             return
-        if self.home is not None and path.resolve().is_relative_to(self.home):
+        if any(path.resolve().is_relative_to(each.folder) for each in self._homes.values()):
             self._status.report(f"{path} is in the folder of the open scene, which Save writes: choose another place.")
             return
         scene = saved_scene(self._viewport)

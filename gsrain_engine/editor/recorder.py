@@ -211,7 +211,7 @@ class RenderQueue:
 
     def draw_sheet_to(self, path: Path) -> None:
         """Draw the viewport's present time and view in several intensities below each other."""
-        still = msgspec.structs.replace(self._still(path), passes=("color",))
+        still = msgspec.structs.replace(self._still(path), passes=("color",), transparent=False)
         self._begin(still, self.still_scene(), sheet_job, f" --sheet {','.join(f'{each:g}' for each in SHEET_MM_H)}")
 
     def _still(self, path: Path) -> ExportSettings:
@@ -220,6 +220,7 @@ class RenderQueue:
             output=str(path if path.suffix else path.with_name(f"{path.name}.png")),
             codec="auto",
             quality=None,
+            fps=_PLAIN.fps,
             cameras=(),
             twin=False,
             first_s=self._playback.clock.time_s,

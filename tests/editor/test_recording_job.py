@@ -95,12 +95,22 @@ def test_a_still_has_the_view_of_the_viewport(editor, tmp_path):
     assert editor.render_queue.still_scene().path is editor.document.scene.path
 
 
-def test_a_sheet_has_five_intensities(editor, tmp_path):
-    editor.render_queue.change(size_px=(96, 64), passes=("color", "depth"))
-    editor.render_queue.draw_sheet_to(tmp_path / "sheet.png")
+def test_a_sheet_has_five_intensities_and_is_that_of_the_command_line(editor, tmp_path):
+    editor.document.edit("Fly", set_path, FLIGHT)
+    editor.viewport.options.follow_path = True
+    editor.playback.clock.time_s = 1.5
+    editor.render_queue.change(codec="png", size_px=(96, 64), passes=("color", "depth"), fps=24.0, transparent=True)
+    project, file = tmp_path / "project", tmp_path / "sheet.png"
+    write_scene(saved_scene(editor.viewport), project, editor.files.known, in_drawing_order=True)
+    editor.render_queue.draw_sheet_to(file)
     editor.jobs.newest("export").wait(60)
-    with Image.open(tmp_path / "sheet.png") as sheet:
+    with Image.open(file) as sheet:
         assert sheet.width >= 96 and 5 * 64 < sheet.height < 5 * 200  # captions are wrapped
+    drawn = file.read_bytes()
+    line = next(line.text for line in editor.status.log.lines if "The same from the command line" in line.text)
+    command = shlex.split(line.partition(": ")[2])[1:]
+    assert run([str(project) if word == "PROJECT" else word for word in command]) == 0
+    assert file.read_bytes() == drawn
 
 
 @pytest.mark.parametrize(

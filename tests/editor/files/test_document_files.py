@@ -171,6 +171,8 @@ def test_what_a_job_or_a_program_makes_anew_has_no_folder_until_it_is_saved(edit
     document.change_rain("Intensity", intensity_mm_h=3.0)
     keep_now(editor)  # what is recovered later has no folder, too
     assert json.loads((files.recovery.autosaved_path / "autosave.json").read_text())["home"] is None
+    files.export_to(home / "copy.ply")
+    assert "copy.ply" in editor.status.problem
     files.save()
     settle(editor)
     assert files.place_request is not None and files.has_changes and bytes_in(home) == on_disk
