@@ -3,12 +3,15 @@
 Processes import this module, so that it imports little.
 """
 
+import gc
 import multiprocessing
 import os
 import subprocess
 import sys
 import time
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -193,6 +196,49 @@ def test_a_kernel_that_no_picture_needs_is_reported_by_its_module(tmp_path, monk
     with reported():
         compiled("gsrain_engine.evaluation.lidar")
     assert "gsrain_engine.evaluation.lidar" in caplog.text
+
+
+def compiled() -> set[tuple[str, str]]:
+    """Names and argument types of the kernels that this process has compiled or loaded."""
+    from numba.core.dispatcher import Dispatcher
+
+    kernels = [each for each in gc.get_objects() if isinstance(each, Dispatcher)]
+    return {(each.py_func.__qualname__, str(types)) for each in kernels for types in each.signatures}
+
+
+def draw_lamps_behind_a_windshield() -> set[tuple[str, str]]:
+    """Draw what a window shows of a wet road at night, after it has prepared its kernels; returns those it has not."""
+    import numpy as np
+
+    from gsrain_engine.editor.drawing.textures import compile_kernels
+    from gsrain_engine.rain.settings import load_preset
+    from gsrain_engine.rain.simulation import OVERCAST, RainSimulation
+    from gsrain_engine.render.camera_optics import CameraOptics
+    from gsrain_engine.render.cpu.renderer import CpuRenderer
+    from gsrain_engine.render.draw import RenderView, draw_view
+    from gsrain_engine.render.still_scene import StillScene
+    from gsrain_engine.scene.camera import Camera, look_at
+    from gsrain_engine.scene.ground_water import GroundWater
+    from gsrain_engine.scene.lamps import Lamp
+    from night_scene import INTENSITY_M2, LANTERN_M, night_scene
+
+    compile_kernels()
+    before = compiled()
+    water = GroundWater((-12.0, -12.0), 1.0, np.frombuffer(bytes([255]) * 24 * 24 * 2, np.uint8).reshape(24, 24, 2))
+    scene = replace(night_scene(), water=water, lamps=(Lamp(position=tuple(LANTERN_M), intensity_m2=INTENSITY_M2),))
+    pose = look_at(np.array([0.0, -8.0, 1.5]), np.array([0.0, 9.0, 2.0]), np.array([0.0, 0.0, 1.0]))
+    view, rainfall = RenderView(Camera.from_fov(192, 128, 60.0, pose), 3.0), RainSimulation.start(load_preset("demo"))
+    renderer = CpuRenderer()
+    glass = CameraOptics().glass_view(renderer, scene, rainfall, OVERCAST, view)
+    for still in (None, StillScene()):
+        draw_view(renderer, scene, rainfall, OVERCAST, view, still=still)
+    glass.picture(renderer.read_uint8())
+    return compiled() - before
+
+
+def test_all_kernels_of_a_window_are_prepared_at_once():
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as other:
+        assert other.submit(draw_lamps_behind_a_windshield).result() == set()
 
 
 def test_kernels_that_are_missing_are_compiled_by_another_process(tmp_path, monkeypatch):

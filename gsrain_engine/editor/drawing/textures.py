@@ -260,10 +260,13 @@ def compile_kernels() -> None:
 
 def _draw_water(renderer: CpuRenderer) -> None:
     """Draw the mirror of a puddle under a lamp, and what glass with a drop shows of it, with rain and without."""
-    ground = replace(_balls(1), means=np.array([[3.0, 0.0, 0.0]], np.float32))
-    water = GroundWater((0.0, -5.0), 10.0, np.full((1, 1, 2), 255, np.uint8))
+    ground, sky = (replace(_balls(1), means=np.array([[x, 0.0, 0.0]], np.float32)) for x in (3.0, 500.0))
+    cover = np.full((1, 1, 2), 255, np.uint8)
+    cover.flags.writeable = False  # as of scenes from files
+    water = GroundWater((0.0, -5.0), 10.0, cover)
     lamp = Lamp(position=(4.0, 0.0, 1.0), intensity_m2=1.0)
-    scene = Scene("puddle", (Layer("ground", ground),), ground_m=0.0, water=water, lamps=(lamp,))
+    layers = Layer("ground", ground), Layer("sky", sky, kind="sky")
+    scene = Scene("puddle", layers, ground_m=0.0, water=water, lamps=(lamp,))
     pose = look_at(np.array([0.0, 0.0, 1.5]), np.array([4.0, 0.0, 1.0]), np.array([0.0, 0.0, 1.0]))
     shot = RenderView(Camera.from_fov(64, 48, 50.0, pose), 0.02)
     for intensity, wetness in ((4.0, None), (0.0, 1.0)):
@@ -274,7 +277,9 @@ def _draw_water(renderer: CpuRenderer) -> None:
             draw_view(renderer, scene, rainfall, OVERCAST, shot)
             draw_view(renderer, scene, rainfall, OVERCAST, shot, still=StillScene())
             if glass is not None:
-                glass.picture(renderer.read_uint8())
+                picture = renderer.read_uint8()
+                picture[20:24, 30:34] = 255  # a lamp, whose light the film on wiped glass spreads
+                glass.picture(picture)
 
 
 def _balls(count: int) -> Gaussians:
