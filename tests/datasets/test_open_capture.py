@@ -103,7 +103,9 @@ def test_poses_of_other_programs_beside_pictures_are_named(name: str, tmp_path: 
     content, program = POSES_OF_OTHERS[name]
     for place in (tmp_path / "scan/images", tmp_path / "scan"):  # beside the folder of pictures, and in it
         write_pictures(tmp_path / "scan/images")
-        files({name: content})(tmp_path / "scan" if place.name == "images" else tmp_path / "scan/images")
+        files({name: content, "a.xml": b"<gpx/>"})(
+            tmp_path / "scan" if place.name == "images" else tmp_path / "scan/images"
+        )
         for opened in (tmp_path / "scan/images", tmp_path / "scan"):
             if place.name == "images" or opened.name == "images":
                 problems = " ".join(open_capture(opened).problems)
