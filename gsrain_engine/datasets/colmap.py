@@ -132,22 +132,24 @@ def _model_with_images(path: Path, folders: list[Path]) -> tuple[Path, "ColmapMo
 
     So the model of undistorted images is not mixed with their originals. Raises `CaptureError` if there are no images.
     """
-    models: list[ColmapModel] = []
+    first, *_ = folders
+    largest = _read_model(first)
     for model_folder in folders:
-        model = _read_model(model_folder)
-        if not model.images:
-            raise CaptureError(f"{model_folder}: the model has no registered image")
-        models.append(model)
+        try:
+            model = largest if model_folder == first else _read_model(model_folder)
+        except CaptureError:  # the smaller ones are only alternatives
+            continue
         above = [path, *(model_folder.resolve().parents[:_FOLDERS_UP]), model_folder]
         folder = _folder_with_images([base / name for base in above for name in _IMAGE_FOLDERS], model)
         if folder is not None:
             return model_folder, model, folder
-    folder = _folder_with_images([each for each in (*path.glob("*/"), *path.glob("*/*/")) if each.is_dir()], models[0])
+    below = [each for each in (*path.glob("*/"), *path.glob("*/*/")) if each.is_dir()]
+    folder = _folder_with_images(below, largest)
     if folder is not None:
-        return folders[0], models[0], folder
-    there, images = path / _IMAGE_FOLDERS[0], models[0].images
+        return first, largest, folder
+    there, images = path / _IMAGE_FOLDERS[0], largest.images
     raise CaptureError(
-        f"{folders[0]}: none of its {len(images)} images lies in {path} ({images[0].name}, say); put them into "
+        f"{first}: none of its {len(images)} images lies in {path} ({images[0].name}, say); put them into "
         f"{there}, or a link to where they are (ln -s FOLDER {there}, and --allow-outside)"
     )
 
@@ -280,6 +282,8 @@ def _read_model(folder: Path) -> ColmapModel:
         if len(camera.parameters) != expected:
             counted = f"{len(camera.parameters)} parameters, {camera.model} has {expected}"
             raise CaptureError(f"{folder}: camera {camera.id} has {counted}")
+    if not images:
+        raise CaptureError(f"{folder}: the model has no registered image")
     return ColmapModel(cameras, images, points, colors)
 
 

@@ -120,7 +120,7 @@ class _PoseFile(NamedTuple):
     advice: str
 
 
-_MARKED_BYTES = 4096
+_MARKED_BYTES, _MARKED_FILES = 4096, 20  # first bytes of the first files of a pattern
 _PROCESS = "nerfstudio's ns-process-data {0} makes a capture of both"
 _POSE_FILES = (
     _PoseFile("RealityCapture", "*.csv", (b"#name,x,y,alt", b"#name;x;y;alt"), _PROCESS.format("realitycapture")),
@@ -151,9 +151,10 @@ def foreign_poses(path: Path) -> str | None:
     for folder in (path, path.resolve().parent) if path.name.lower() in _PICTURE_FOLDERS else (path,):
         for kind in _POSE_FILES:
             for pattern in kind.patterns.split():
-                files = [file for file in islice(sorted(folder.glob(pattern)), 1) if _has_mark(file, kind.marks)]
-                if files:
-                    name = files[0].relative_to(folder).as_posix()
+                files = islice(sorted(folder.glob(pattern)), _MARKED_FILES)
+                found = next((file for file in files if _has_mark(file, kind.marks)), None)
+                if found is not None:
+                    name = found.relative_to(folder).as_posix()
                     return f"{name} has poses of {kind.program}, which are not read: {kind.advice}"
     return None
 

@@ -14,9 +14,10 @@ from app.main import BAD_INPUT, run
 from colmap_files import write_binary, write_pictures, write_text
 from gsrain_engine.datasets.capture import CaptureError, OutsideError
 from gsrain_engine.datasets.capture_folder import write_views
+from gsrain_engine.datasets.io.arrays import read_json as read_json_of_captures
 from gsrain_engine.datasets.layout_hints import nearest_layout
 from gsrain_engine.datasets.open_capture import open_capture
-from gsrain_engine.scene.files import SceneFormatError
+from gsrain_engine.scene.files import SceneFormatError, read_json
 from gsrain_engine.scene.formats.scene_files import read_scene
 
 from .sample_captures import INTRINSICS, opengl_pose, views
@@ -103,7 +104,9 @@ def test_poses_of_other_programs_beside_pictures_are_named(name: str, tmp_path: 
     content, program = POSES_OF_OTHERS[name]
     for place in (tmp_path / "scan/images", tmp_path / "scan"):  # beside the folder of pictures, and in it
         write_pictures(tmp_path / "scan/images")
-        files({name: content})(tmp_path / "scan" if place.name == "images" else tmp_path / "scan/images")
+        files({name: content, "a.xml": b"<gpx/>"})(
+            tmp_path / "scan" if place.name == "images" else tmp_path / "scan/images"
+        )
         for opened in (tmp_path / "scan/images", tmp_path / "scan"):
             if place.name == "images" or opened.name == "images":
                 problems = " ".join(open_capture(opened).problems)
@@ -112,6 +115,12 @@ def test_poses_of_other_programs_beside_pictures_are_named(name: str, tmp_path: 
     files({"about.xml": b"<gpx/>", "rows.csv": b"a,b\n1,2\n", "metadata": b"{}"})(tmp_path / "other")
     write_pictures(tmp_path / "other")
     assert "has poses of" not in " ".join(open_capture(tmp_path / "other").problems)
+
+
+@pytest.mark.parametrize("read", [read_json, read_json_of_captures])
+def test_json_may_begin_with_a_byte_order_mark(tmp_path: Path, read: Callable[[Path], Any]) -> None:
+    (tmp_path / "a.json").write_text('{"fx": 5}', encoding="utf-8-sig")
+    assert read(tmp_path / "a.json") == {"fx": 5}
 
 
 def test_tables_of_other_types_are_named_in_plain_words(tmp_path: Path) -> None:

@@ -542,7 +542,7 @@ def _tensor(node: Any) -> Tensor:
 
 
 def _input_role(tensor: Tensor, inputs: Mapping[str, InputRole]) -> InputRole | None:
-    """What an input gets: as described, by a usual name, or the picture for floats of four axes; None if unknown."""
+    """Role of an input: as described, by a common name, or the picture for floats of four axes; None if unknown."""
     role = inputs.get(tensor.name) or _INPUT_ROLES.get(tensor.name)
     if role is None and tensor.kind in _FLOATS and len(tensor.shape) == 4:
         return "picture"

@@ -71,7 +71,7 @@ class DetectorDescription(msgspec.Struct, frozen=True, kw_only=True, forbid_unkn
         Meta(
             title="Inputs",
             description="What each input gets, by its name: picture; width_height or height_width of the network's "
-            "input in pixels; ones. Left out: by usual names.",
+            "input in pixels; ones. Left out: by common names.",
         ),
     ] = {}
     outputs: Annotated[
@@ -79,7 +79,7 @@ class DetectorDescription(msgspec.Struct, frozen=True, kw_only=True, forbid_unkn
         Meta(
             title="Outputs",
             description="What each used output holds, by its name: rows of everything; or boxes, scores, classes and "
-            "their count. Left out: by usual names, or the first one.",
+            "their count. Left out: by common names, or the first one.",
         ),
     ] = {}
     input_size_px: Annotated[

@@ -121,7 +121,7 @@ _OUTPUT_ROLES: dict[str, OutputRole] = {
     **dict.fromkeys(("labels", "classes", "pred_classes", "det_classes", "detection_classes"), "classes"),
     **dict.fromkeys(("num_dets", "num_detections", "num_predictions"), "count"),
 }
-"""What outputs of usual names hold."""
+"""Roles of outputs by their common names."""
 
 
 def _decoded_outputs(model: OnnxModel, description: DetectorDescription) -> tuple[str, ...] | None:
