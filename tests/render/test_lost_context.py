@@ -106,7 +106,7 @@ def test_no_picture_comes_from_a_lost_context_and_its_loss_is_remembered(lost_af
 @pytest.mark.parametrize("out", ["frames", "still.png", "still.npy"])
 def test_a_command_ends_in_a_sentence_and_writes_no_empty_picture(tmp_path, capsys, lost_after, out):
     write_scene(small_scene(), tmp_path / "scene")
-    options = ["--size", "64x48", "--backend", "opengl", "--fps", "5", *(["--to", "3"] if out == "frames" else [])]
+    options = ["--size", "64x48", "--backend", "opengl", *(["--fps", "5", "--to", "3"] if out == "frames" else [])]
     command = ["render", str(tmp_path / "scene"), "-o"]
     assert run([*command, str(tmp_path / "healthy" / out), *options]) == 0
     lost_after(12 if out == "frames" else 0)  # the sky is looked at first
