@@ -220,6 +220,9 @@ def _in_order(camera: dict[str, Any], field: str) -> tuple[tuple[bool, int, str]
     return tuple((part.isdecimal(), int(part) if part.isdecimal() else 0, part) for part in parts if part)
 
 
+_NOT_ORTHONORMAL = 0.05  # largest error of products of axes; more is no matter of rounding
+
+
 def _from_poses(
     times: Float64[np.ndarray, " k"] | None,
     rotations: Float64[np.ndarray, "k 3 3"],
@@ -227,6 +230,10 @@ def _from_poses(
     fov: Float64[np.ndarray, " k"],
 ) -> CameraPath:
     """Path through poses at times, or, without times, at walking pace, with a unit taken for a meter."""
+    turned = np.abs(rotations @ rotations.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2)) > _NOT_ORTHONORMAL
+    bad = np.flatnonzero(turned | (np.linalg.det(rotations) < 0))
+    if len(bad):
+        raise ValueError(f"the matrix of keyframe {bad[0]} is no rotation: its axes must be orthonormal, right-handed")
     moments = np.arange(len(positions), dtype=np.float64) if times is None else times
     path = CameraPath(moments, positions, normalized(quaternions_from_matrices(rotations)), fov)
     return path if times is not None else with_constant_speed(path, WALKING_M_S)

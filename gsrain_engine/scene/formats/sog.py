@@ -21,7 +21,7 @@ from ...safe_io.errors import readable_validation_error
 from ...safe_io.limits import TooLargeError, read_file
 from ..files import SceneFormatError
 from ..gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
-from ._common import check_expansion, checked_gaussians, with_largest
+from ._common import check_expansion, check_room, checked_gaussians, with_largest
 from .stored_zip import open_zip, read_member
 
 _META = "meta.json"
@@ -99,6 +99,7 @@ def _read_streamed(folder: Path) -> Gaussians:
         if node.lods and not node.children:
             finest = min(node.lods, key=lambda level: (not level.isdecimal(), int(level) if level.isdecimal() else 0))
             spans.setdefault(node.lods[finest].file, []).append(node.lods[finest])
+    check_room(path, sum(span.count for of_file in spans.values() for span in of_file), 1)
     parts: list[Gaussians] = []
     for number, of_file in sorted(spans.items()):
         if number >= len(meta.filenames):
