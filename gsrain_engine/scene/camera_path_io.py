@@ -148,14 +148,14 @@ def _nerfstudio(values: dict[str, Any]) -> CameraPath:
         if default is None and seconds is not None and len(keys) > 1:
             default = float(seconds) / (len(keys) - 1)
         # The last transition leads back to the first keyframe, in a cycle.
-        gaps = [_given(key.get("override_transition_sec"), default) for key in keys[:-1]]
+        gaps = [_or_default(key.get("override_transition_sec"), default) for key in keys[:-1]]
         times = None if any(gap is None for gap in gaps) else np.cumsum([0.0, *map(float, gaps)])
-    fov = np.array([_given(key.get("fov"), values.get("default_fov")) for key in keys], np.float64)
+    fov = np.array([_or_default(key.get("fov"), values.get("default_fov")) for key in keys], np.float64)
     path = _from_poses(times, poses[:, :3, :3] @ np.diag([1.0, -1.0, -1.0]), poses[:, :3, 3], fov)
     return replace(path, loop=bool(values.get("is_cycle"))) if not values.get("camera_path") else path
 
 
-def _given(value: Any, default: Any) -> Any:
+def _or_default(value: Any, default: Any) -> Any:
     return default if value is None else value
 
 

@@ -72,15 +72,15 @@ class _Span(msgspec.Struct, frozen=True):
     count: Annotated[int, Meta(ge=0)]
 
 
-class _Node(msgspec.Struct, frozen=True):
-    children: list["_Node"] = []
+class _LodNode(msgspec.Struct, frozen=True):
+    children: list["_LodNode"] = []
     lods: dict[str, _Span] = {}
     """By level, of which 0 is the finest."""
 
 
 class _StreamedMeta(msgspec.Struct, frozen=True):
     filenames: list[str]
-    tree: _Node
+    tree: _LodNode
     environment: str | None = None
 
 
