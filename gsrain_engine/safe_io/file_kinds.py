@@ -8,7 +8,7 @@ from .limits import open_file
 _HEAD_BYTES = 1 << 14  # JSON of others has its telling fields in its first kilobytes
 
 
-class FileKind(NamedTuple):
+class FileSignature(NamedTuple):
     """A kind of file; it needs all of its conditions, and one without `starts` and `holds` only a suffix."""
 
     words: str
@@ -42,115 +42,115 @@ _PICKLE = (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05")  # the protocol f
 
 FILE_KINDS = (
     # text and pointers
-    FileKind("a bag of ROS 1: rosbags-convert turns it into one of ROS 2", (b"#rosbag v",), suffixes=(".bag",)),
-    FileKind("the list of a ROS 2 bag's files: give its folder", (b"rosbag2_bagfile_information",)),
-    FileKind(
+    FileSignature("a bag of ROS 1: rosbags-convert turns it into one of ROS 2", (b"#rosbag v",), suffixes=(".bag",)),
+    FileSignature("the list of a ROS 2 bag's files: give its folder", (b"rosbag2_bagfile_information",)),
+    FileSignature(
         "a pointer of Git LFS, not the file itself: run git lfs pull where it was cloned", (b"version https://git-lfs",)
     ),
-    FileKind("a web page, not the file: the download went wrong", (b"<!doctype html", b"<html")),
+    FileSignature("a web page, not the file: the download went wrong", (b"<!doctype html", b"<html")),
     # cameras, paths and descriptions of scenes, as JSON, XML and text
-    FileKind(
+    FileSignature(
         "the description of a streamed SOG scene: give it as lod-meta.json, in its folder with the parts that it names",
         _OBJECT,
         holds=(b'"lodlevels"', b'"filenames"'),
         suffixes=(".json",),
     ),
-    FileKind(
+    FileSignature(
         "a scene of XGRIDS (LCC), which is not read: export it as a PLY or SOG, as splat-transform does",
         _OBJECT,
         holds=(b'"totalsplats"',),
     ),
-    FileKind(
+    FileSignature(
         "a tileset of 3D Tiles, which is not read: give a .glb or .gltf with Gaussians that it names",
         _OBJECT,
         holds=(b'"geometricerror"', b'"root"'),
     ),
-    FileKind(_CAMERA_PATH, _OBJECT, holds=(b'"camera_path"', b'"camera_type"'), is_used=True),
-    FileKind(_CAMERA_PATH, _OBJECT, holds=(b'"keyframes"', b'"quaternion_wxyz"'), is_used=True),
-    FileKind(
+    FileSignature(_CAMERA_PATH, _OBJECT, holds=(b'"camera_path"', b'"camera_type"'), is_used=True),
+    FileSignature(_CAMERA_PATH, _OBJECT, holds=(b'"keyframes"', b'"quaternion_wxyz"'), is_used=True),
+    FileSignature(
         f"the cameras of a training of 3DGS, {_CAMERA_PATH}", (b"[",), holds=(b'"rotation"', b'"fy"'), is_used=True
     ),
-    FileKind(
+    FileSignature(
         "the cameras of a capture (transforms.json): give its folder, or gsrain render SCENE --camera-path FILE",
         _OBJECT,
         holds=(b'"frames"', b'"transform_matrix"'),
         is_used=True,
     ),
-    FileKind(
+    FileSignature(
         "a camera: gsrain render SCENE --camera FILE -o IMAGE.png", _OBJECT, holds=(b'"world_to_camera"',), is_used=True
     ),
-    FileKind(
+    FileSignature(
         "the placement of a nerfstudio training, no scene: give the PLY of ns-export gaussian-splat",
         _OBJECT,
         holds=(b'"transform"', b'"scale"'),
     ),
-    FileKind(
+    FileSignature(
         "the description of a glTF file: name it .gltf",
         _OBJECT,
         holds=(b'"asset"', b'"accessors"'),
         suffixes=(".gltf",),
     ),
-    FileKind(
+    FileSignature(
         "the settings of a 3DGS training: give point_cloud/iteration_N/point_cloud.ply of its folder", (b"namespace(",)
     ),
-    FileKind(_COLMAP, (b"# camera list with one", b"# image list with two", b"# 3d point list with one")),
-    FileKind(_COLMAP, suffixes=("cameras.bin", "images.bin", "points3d.bin", "frames.bin", "rigs.bin")),
-    FileKind("a scenario: gsrain drive FILE", holds=(b"<openscenario",), is_used=True),
-    FileKind(
+    FileSignature(_COLMAP, (b"# camera list with one", b"# image list with two", b"# 3d point list with one")),
+    FileSignature(_COLMAP, suffixes=("cameras.bin", "images.bin", "points3d.bin", "frames.bin", "rigs.bin")),
+    FileSignature("a scenario: gsrain drive FILE", holds=(b"<openscenario",), is_used=True),
+    FileSignature(
         "a map of roads (OpenDRIVE), which a scenario (.xosc) names: gsrain drive SCENARIO.xosc", holds=(b"<opendrive",)
     ),
     # archives, the ones with a known content first
-    FileKind("a part of a scene of HUGSIM: give its folder", suffixes=("scene.pth", "ground.pth", "gs.pth")),
-    FileKind("a SOG scene: name it .sog", _ZIP, holds=(b"means_l.webp",), suffixes=(".sog",)),
-    FileKind(_CHECKPOINT, _ZIP, holds=(b"/data.pkl",), suffixes=(".pth",)),
-    FileKind("a project of SuperSplat: open it there, and export the scene as a PLY", _ZIP, holds=(b"document.json",)),
-    FileKind("a file of arrays", suffixes=(".npz", ".npy")),
-    FileKind(_ARCHIVE, (*_ZIP, b"pk\x05\x06"), suffixes=(".sog", ".usdz")),
-    FileKind(_ARCHIVE, (b"7z\xbc\xaf\x27\x1c", b"rar!\x1a")),
-    FileKind(_ARCHIVE, (b"ustar",), at=257),
-    FileKind(_ARCHIVE, (b"\x1f\x8b",), suffixes=(".spz",)),
-    FileKind("an SPZ scene: name it .spz", (b"ngsp",), suffixes=(".spz",)),
-    FileKind(
+    FileSignature("a part of a scene of HUGSIM: give its folder", suffixes=("scene.pth", "ground.pth", "gs.pth")),
+    FileSignature("a SOG scene: name it .sog", _ZIP, holds=(b"means_l.webp",), suffixes=(".sog",)),
+    FileSignature(_CHECKPOINT, _ZIP, holds=(b"/data.pkl",), suffixes=(".pth",)),
+    FileSignature("a project of SuperSplat: open it there, and export a PLY", _ZIP, holds=(b"document.json",)),
+    FileSignature("a file of arrays", suffixes=(".npz", ".npy")),
+    FileSignature(_ARCHIVE, (*_ZIP, b"pk\x05\x06"), suffixes=(".sog", ".usdz")),
+    FileSignature(_ARCHIVE, (b"7z\xbc\xaf\x27\x1c", b"rar!\x1a")),
+    FileSignature(_ARCHIVE, (b"ustar",), at=257),
+    FileSignature(_ARCHIVE, (b"\x1f\x8b",), suffixes=(".spz",)),
+    FileSignature("an SPZ scene: name it .spz", (b"ngsp",), suffixes=(".spz",)),
+    FileSignature(
         "a Python pickle, which may run code and is not opened: export its Gaussians as a PLY",
         _PICKLE,
         suffixes=(".pth",),
     ),
     # pictures and videos
-    FileKind(_IMAGE, (b"\xff\xd8\xff",), suffixes=(".jpg", ".jpeg")),
-    FileKind(_IMAGE, (b"\x89png\r\n",), suffixes=(".png",)),
-    FileKind(_IMAGE, (b"gif87a", b"gif89a"), suffixes=(".gif",)),
-    FileKind(_IMAGE, (b"ii*\0", b"mm\0*"), suffixes=(".tif", ".tiff")),
-    FileKind(_IMAGE, (b"webpvp8",), at=8, suffixes=(".webp",)),
-    FileKind(_HEIC, (b"ftyphei", b"ftyphev", b"ftypmif", b"ftypmsf", b"ftypavi"), at=4),
-    FileKind(_VIDEO, (b"ftyp", b"moov", b"mdat"), at=4),
-    FileKind(_VIDEO, (b"\x1a\x45\xdf\xa3",)),
-    FileKind(_VIDEO, (b"avi list",), at=8),
+    FileSignature(_IMAGE, (b"\xff\xd8\xff",), suffixes=(".jpg", ".jpeg")),
+    FileSignature(_IMAGE, (b"\x89png\r\n",), suffixes=(".png",)),
+    FileSignature(_IMAGE, (b"gif87a", b"gif89a"), suffixes=(".gif",)),
+    FileSignature(_IMAGE, (b"ii*\0", b"mm\0*"), suffixes=(".tif", ".tiff")),
+    FileSignature(_IMAGE, (b"webpvp8",), at=8, suffixes=(".webp",)),
+    FileSignature(_HEIC, (b"ftyphei", b"ftyphev", b"ftypmif", b"ftypmsf", b"ftypavi"), at=4),
+    FileSignature(_VIDEO, (b"ftyp", b"moov", b"mdat"), at=4),
+    FileSignature(_VIDEO, (b"\x1a\x45\xdf\xa3",)),
+    FileSignature(_VIDEO, (b"avi list",), at=8),
     # geometry
-    FileKind("a binary glTF file: a mesh, a point cloud or Gaussians", (b"gltf",), suffixes=(".glb",)),
-    FileKind("a USD stage: pack it as .usdz (usdzip scene.usdz STAGE), and give that", (b"#usda", b"pxr-usdc")),
-    FileKind(_MESH, (b"kaydara fbx", b"lasf", b"# .pcd", b"astm-e57")),
-    FileKind("a PLY file: a scene, a mesh or a point cloud", (b"ply\n", b"ply\r\n"), suffixes=(".ply",)),
+    FileSignature("a binary glTF file: a mesh, a point cloud or Gaussians", (b"gltf",), suffixes=(".glb",)),
+    FileSignature("a USD stage: pack it as .usdz (usdzip scene.usdz STAGE), and give that", (b"#usda", b"pxr-usdc")),
+    FileSignature(_MESH, (b"kaydara fbx", b"lasf", b"# .pcd", b"astm-e57")),
+    FileSignature("a PLY file: a scene, a mesh or a point cloud", (b"ply\n", b"ply\r\n"), suffixes=(".ply",)),
     # other files
-    FileKind("a PDF", (b"%pdf-",)),
-    FileKind("a table of a data set (Parquet): give the data set's folder", (b"par1",)),
-    FileKind("a database, such as COLMAP's: give the folder with the model (sparse/0)", (b"sqlite format 3",)),
+    FileSignature("a PDF", (b"%pdf-",)),
+    FileSignature("a table of a data set (Parquet): give the data set's folder", (b"par1",)),
+    FileSignature("a database, such as COLMAP's: give the folder with the model (sparse/0)", (b"sqlite format 3",)),
     # by name alone: their first bytes tell nothing
-    FileKind(_CHECKPOINT, suffixes=(".pt", ".ckpt")),
-    FileKind(
+    FileSignature(_CHECKPOINT, suffixes=(".pt", ".ckpt")),
+    FileSignature(
         "a neural network (ONNX), such as a detector: gsrain evaluate detection --detector FILE",
         suffixes=(".onnx",),
         is_used=True,
     ),
-    FileKind(
+    FileSignature(
         "weights or Gaussians as safetensors, which are no scene: export its Gaussians as a PLY",
         suffixes=(".safetensors",),
     ),
-    FileKind(
+    FileSignature(
         "a scene of Spark (RAD), which is not read: give the PLY, SPZ or SOG that it was made of", suffixes=(".rad",)
     ),
-    FileKind("a volume of NuRec, which is not read: give a .usdz or PLY of Gaussians", suffixes=(".nurec",)),
-    FileKind(_MESH, suffixes=(".obj", ".stl", ".fbx", ".dae", ".las", ".laz", ".e57", ".pcd")),
-    FileKind(_VIDEO, suffixes=(".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v")),
+    FileSignature("a volume of NuRec, which is not read: give a .usdz or PLY of Gaussians", suffixes=(".nurec",)),
+    FileSignature(_MESH, suffixes=(".obj", ".stl", ".fbx", ".dae", ".las", ".laz", ".e57", ".pcd")),
+    FileSignature(_VIDEO, suffixes=(".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v")),
 )
 """Kinds in order of precedence: the first row whose conditions a file meets is its kind."""
 
@@ -171,7 +171,7 @@ def kind_of_bytes(head: bytes, name: str = "") -> str | None:
     return None if found is None else found.words
 
 
-def find_file_kind(path: Path) -> FileKind | None:
+def find_file_kind(path: Path) -> FileSignature | None:
     """Find the row of a file in the table; None if there is none, or if the file can't be opened."""
     try:
         with open_file(path) as file:
@@ -181,10 +181,10 @@ def find_file_kind(path: Path) -> FileKind | None:
     return _kind_of(head, path.name.lower())
 
 
-_EMPTY = FileKind("an empty file")
+_EMPTY = FileSignature("an empty file")
 
 
-def _kind_of(head: bytes, name: str) -> FileKind | None:
+def _kind_of(head: bytes, name: str) -> FileSignature | None:
     if not head:
         return _EMPTY
     head = head[:_HEAD_BYTES].lower().removeprefix(b"\xef\xbb\xbf")
@@ -192,12 +192,12 @@ def _kind_of(head: bytes, name: str) -> FileKind | None:
     return next((kind for kind in FILE_KINDS if _is_of_kind(head, text, name, kind)), None)
 
 
-def _is_of_kind(head: bytes, text: bytes, name: str, kind: FileKind) -> bool:
+def _is_of_kind(head: bytes, text: bytes, name: str, kind: FileSignature) -> bool:
     if not kind.starts and not kind.holds:
         return name.endswith(kind.suffixes)
     start = head[kind.at :] if kind.at else text
     return start.startswith(kind.starts or b"") and all(word in head for word in kind.holds)
 
 
-def _is_named_rightly(kind: FileKind, name: str) -> bool:
+def _is_named_rightly(kind: FileSignature, name: str) -> bool:
     return bool(kind.starts or kind.holds) and name.endswith(kind.suffixes or "\0")

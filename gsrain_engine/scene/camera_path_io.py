@@ -148,14 +148,14 @@ def _nerfstudio(values: dict[str, Any]) -> CameraPath:
         if default is None and seconds is not None and len(keys) > 1:
             default = float(seconds) / (len(keys) - 1)
         # The last transition leads back to the first keyframe, in a cycle.
-        gaps = [_given(key.get("override_transition_sec"), default) for key in keys[:-1]]
+        gaps = [_or_default(key.get("override_transition_sec"), default) for key in keys[:-1]]
         times = None if any(gap is None for gap in gaps) else np.cumsum([0.0, *map(float, gaps)])
-    fov = np.array([_given(key.get("fov"), values.get("default_fov")) for key in keys], np.float64)
+    fov = np.array([_or_default(key.get("fov"), values.get("default_fov")) for key in keys], np.float64)
     path = _from_poses(times, poses[:, :3, :3] @ np.diag([1.0, -1.0, -1.0]), poses[:, :3, 3], fov)
     return replace(path, loop=bool(values.get("is_cycle"))) if not values.get("camera_path") else path
 
 
-def _given(value: Any, default: Any) -> Any:
+def _or_default(value: Any, default: Any) -> Any:
     return default if value is None else value
 
 
@@ -220,6 +220,9 @@ def _in_order(camera: dict[str, Any], field: str) -> tuple[tuple[bool, int, str]
     return tuple((part.isdecimal(), int(part) if part.isdecimal() else 0, part) for part in parts if part)
 
 
+_NOT_ORTHONORMAL = 0.05  # largest error of products of axes; more is no matter of rounding
+
+
 def _from_poses(
     times: Float64[np.ndarray, " k"] | None,
     rotations: Float64[np.ndarray, "k 3 3"],
@@ -227,6 +230,10 @@ def _from_poses(
     fov: Float64[np.ndarray, " k"],
 ) -> CameraPath:
     """Path through poses at times, or, without times, at walking pace, with a unit taken for a meter."""
+    turned = np.abs(rotations @ rotations.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2)) > _NOT_ORTHONORMAL
+    bad = np.flatnonzero(turned | (np.linalg.det(rotations) < 0))
+    if len(bad):
+        raise ValueError(f"the matrix of keyframe {bad[0]} is no rotation: its axes must be orthonormal, right-handed")
     moments = np.arange(len(positions), dtype=np.float64) if times is None else times
     path = CameraPath(moments, positions, normalized(quaternions_from_matrices(rotations)), fov)
     return path if times is not None else with_constant_speed(path, WALKING_M_S)

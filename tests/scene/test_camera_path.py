@@ -455,6 +455,8 @@ KEY = {"time_s": 0, "position": [0, 0, 0], "quaternion_wxyz": [1, 0, 0, 0], "ver
         ({"keyframes": [KEY], "easing": "bounce"}, "easing 'bounce'"),
         ({"keyframes": [], "camera_path": []}, "keyframe"),
         ({"frames": [{"file_path": "a.png"}]}, "'transform_matrix'"),
+        ({"frames": [{"transform_matrix": np.diag([1, 1, -1, 1]).tolist()}], "camera_angle_x": 1}, "keyframe 0"),
+        ({"camera_path": [{"camera_to_world": [*[0] * 15, 1], "fov": 50}]}, "keyframe 0"),
         ({"frames": [{"transform_matrix": [[1, 0], [0, 1]]}], "camera_angle_x": 1}, "transform_matrix"),
         ({"frames": [{"transform_matrix": np.eye(4).tolist()}]}, "'camera_angle_x'"),
     ],

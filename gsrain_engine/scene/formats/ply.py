@@ -284,7 +284,7 @@ def _smooth(
     np.sqrt(filtered, out=scales)
 
 
-class _Layout(NamedTuple):
+class _PlyLayout(NamedTuple):
     """Properties of a row that make up a Gaussian."""
 
     names: list[str]
@@ -297,7 +297,7 @@ class _Layout(NamedTuple):
     smoothing: str | None
 
 
-def _layout_of(path: Path, dtype: "np.dtype[Any]", *, has_faces: bool) -> _Layout:
+def _layout_of(path: Path, dtype: "np.dtype[Any]", *, has_faces: bool) -> _PlyLayout:
     """Find the properties of Gaussians, those of CloudCompare and of nerfstudio's RGB mode, too."""
     own = dtype.names or ()
     names = {_PREFIX.sub("", name, count=1): name for name in own} | {name: name for name in own}
@@ -330,7 +330,7 @@ def _layout_of(path: Path, dtype: "np.dtype[Any]", *, has_faces: bool) -> _Layou
     is_flat = _SCALES[2] not in names
     scales = (*_SCALES[:2], _SCALES[1] if is_flat else _SCALES[2])
     ours = [*_MEANS, *scales, *_QUATERNIONS, "opacity", *base, *harmonics]
-    return _Layout([names[name] for name in ours], expected[len(rest)], is_flat, color_range, names.get(_SMOOTHING))
+    return _PlyLayout([names[name] for name in ours], expected[len(rest)], is_flat, color_range, names.get(_SMOOTHING))
 
 
 _Block = tuple[Float[np.ndarray, "r p"], dict[str, int]]
@@ -338,7 +338,7 @@ _Block = tuple[Float[np.ndarray, "r p"], dict[str, int]]
 
 
 def _binary_blocks(
-    path: Path, file: BufferedReader, dtype: "np.dtype[Any]", layout: _Layout, count: int
+    path: Path, file: BufferedReader, dtype: "np.dtype[Any]", layout: _PlyLayout, count: int
 ) -> Iterator[_Block]:
     """Read the file's next rows, some at a time, into the same memory."""
     piece = np.empty(min(count, max(1, _CHUNK_BYTES // dtype.itemsize)), dtype)

@@ -81,7 +81,10 @@ FORMATS = (
     Format(
         ".gltf", read_gltf, None, "the same as text, with its buffers in it or next to it", read_scene=read_gltf_scene
     ),
-    Format("meta.json", read_sog, None, "PlayCanvas' images in a folder; of a `lod-meta.json`, the finest level"),
+    Format(
+        "lod-meta.json", read_sog, None, "PlayCanvas' streamed scenes in folders: the finest level, and environment"
+    ),
+    Format("meta.json", read_sog, None, "PlayCanvas' images in a folder"),
 )
 """Built-in formats; `scene_suffixes` includes those of installed packages.
 

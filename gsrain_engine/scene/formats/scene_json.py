@@ -241,7 +241,7 @@ def scene_of(record: SceneRecord, gaussians: list[Gaussians], wet: Sequence[WetC
         raise ValueError(f"`$.origin` must be a place, not {list(record.origin)}")
     return Scene(
         **_fields(record, _SCENE),
-        **_given(record, ("up_is_assumed", "origin")),
+        **_present_fields(record, ("up_is_assumed", "origin")),
         layers=layers,
         actors=actors,
         rigs={name: tuple(_camera(camera, name) for camera in cameras) for name, cameras in record.rigs.items()},
@@ -296,7 +296,7 @@ def _fields(source: object, names: Sequence[str]) -> dict[str, Any]:
     return {name: getattr(source, name) for name in names}
 
 
-def _given(record: object, names: Sequence[str]) -> dict[str, Any]:
+def _present_fields(record: object, names: Sequence[str]) -> dict[str, Any]:
     """Fields that a file has, of those that it may leave out."""
     return {name: value for name, value in _fields(record, names).items() if value is not msgspec.UNSET}
 
@@ -333,7 +333,7 @@ def _camera(record: CameraRecord, rig: str) -> RigCamera:
     matrix = np.array(record.camera_to_ego, np.float64)
     if not _is_pose(matrix):
         raise ValueError(f"camera_to_ego of camera {record.name!r} must be a rotation and a place - at `$.rigs.{rig}`")
-    given = _given(record, ("lens", "readout_s", "readout_direction"))
+    given = _present_fields(record, ("lens", "readout_s", "readout_direction"))
     if isinstance(record.lens, Lens):
         record.lens.check_drawable()
     return RigCamera(camera_to_ego=matrix, **_fields(record, _CAMERA), **given)

@@ -21,7 +21,7 @@ from ...safe_io.errors import readable_validation_error
 from ...safe_io.limits import TooLargeError, read_file
 from ..files import SceneFormatError
 from ..gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
-from ._common import check_expansion, checked_gaussians, with_largest
+from ._common import check_expansion, check_room, checked_gaussians, with_largest
 from .stored_zip import open_zip, read_member
 
 _META = "meta.json"
@@ -72,15 +72,15 @@ class _Span(msgspec.Struct, frozen=True):
     count: Annotated[int, Meta(ge=0)]
 
 
-class _Node(msgspec.Struct, frozen=True):
-    children: list["_Node"] = []
+class _LodNode(msgspec.Struct, frozen=True):
+    children: list["_LodNode"] = []
     lods: dict[str, _Span] = {}
     """By level, of which 0 is the finest."""
 
 
 class _StreamedMeta(msgspec.Struct, frozen=True):
     filenames: list[str]
-    tree: _Node
+    tree: _LodNode
     environment: str | None = None
 
 
@@ -99,6 +99,7 @@ def _read_streamed(folder: Path) -> Gaussians:
         if node.lods and not node.children:
             finest = min(node.lods, key=lambda level: (not level.isdecimal(), int(level) if level.isdecimal() else 0))
             spans.setdefault(node.lods[finest].file, []).append(node.lods[finest])
+    check_room(path, sum(span.count for of_file in spans.values() for span in of_file), 1)
     parts: list[Gaussians] = []
     for number, of_file in sorted(spans.items()):
         if number >= len(meta.filenames):

@@ -278,6 +278,7 @@ def test_a_streamed_sog_is_its_finest_level_and_its_environment(tmp_path: Path) 
     parts = [whole, whole.take(slice(3, 7)), whole.take(slice(5, 7)), whole]
     for name in (folder, folder / "lod-meta.json"):
         (layer,) = read_scene(name).layers
+        assert layer.name == "streamed"
         assert_equal(layer.gaussians, Gaussians.concatenate(parts))
 
 
