@@ -27,8 +27,13 @@ def main() -> None:
 
 
 def _stop(*_: object) -> NoReturn:
-    os.write(2, b"gsrain: stopped\n")
-    os._exit(_INTERRUPTED)
+    _end("stopped", _INTERRUPTED)
+
+
+def _end(reason: str, code: int) -> NoReturn:
+    """End the process at once: the console, and what else would report it, may not be loaded."""
+    os.write(2, f"gsrain: {reason}\n".encode())
+    os._exit(code)
 
 
 def _check_address_space() -> None:
@@ -38,12 +43,8 @@ def _check_address_space() -> None:
 
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
     if limit != resource.RLIM_INFINITY and limit < _MIN_ADDRESS_SPACE_BYTES:
-        needed = _MIN_ADDRESS_SPACE_BYTES >> 20
-        print(
-            f"gsrain: the address space is limited to {limit >> 20} MiB (ulimit -v), at least {needed} MiB are needed",
-            file=sys.stderr,
-        )
-        sys.exit(_BAD_INPUT)
+        found, needed = limit >> 20, _MIN_ADDRESS_SPACE_BYTES >> 20
+        _end(f"the address space is limited to {found} MiB (ulimit -v), at least {needed} MiB are needed", _BAD_INPUT)
 
 
 if __name__ == "__main__":

@@ -405,7 +405,10 @@ def _layout(path: Path, lines: Sequence[str], columns: TableColumns) -> _Layout:
         else next((line for _, line in _table_rows(lines, columns)), "")
     )
     separator = columns.separator or max(",;\t", key=header.count)
-    names = [name.strip(' "') for name in _split(header, separator)] if columns.header_line else []
+    try:
+        names = [name.strip(' "') for name in _split(header, separator)] if columns.header_line else []
+    except RecordError as error:
+        raise DisdrometerFileError(path, f"line {columns.header_line}, of the names: {error}") from None
     folded = [name.lower() for name in names]
 
     def place(column: Column, field: str) -> int:

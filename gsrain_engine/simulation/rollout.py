@@ -96,7 +96,11 @@ class Rollout(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     @property
     def intensity_mm_h(self) -> float:
         """Rain intensity of the scenario, 0 if it has none."""
-        return float(self.scenario.get("rain", {}).get("intensity_mm_h", 0.0))
+        rain = self.scenario.get("rain", {})
+        found = rain.get("intensity_mm_h", 0.0) if isinstance(rain, dict) else None
+        if not isinstance(found, int | float):
+            raise ValueError("Expected a number - at `$.scenario.rain.intensity_mm_h`")
+        return float(found)
 
     @property
     def vehicle(self) -> Vehicle:

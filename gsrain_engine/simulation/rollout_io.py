@@ -53,17 +53,23 @@ def read_rollout(path: Path | str) -> Rollout:
     if not steps:
         raise ValueError(f"{path}: a roll-out of no moment: it has been torn off after its first line")
     if count not in (None, len(steps)):
-        raise ValueError(f"{path}: a torn roll-out: its first line says {count} moments, {len(steps)} follow")
+        raise ValueError(
+            f"{path}: a torn roll-out: its first line says {printable_line(count, 60)} moments, {len(steps)} follow"
+        )
     try:
         rollout = msgspec.convert({**header, "steps": tuple(steps)}, Rollout)
     except msgspec.ValidationError as error:
         raise ValueError(f"{path}: line 1: {printable_line(error)}") from None
-    check_users(path, rollout)
+    check_rollout(path, rollout)
     return rollout
 
 
-def check_users(path: Path, rollout: Rollout) -> None:
-    """Raise ValueError if a step has a road user that `users` does not list."""
+def check_rollout(path: Path, rollout: Rollout) -> None:
+    """Raise ValueError if the rain is no number, or a step has a road user that `users` does not list."""
+    try:
+        _ = rollout.intensity_mm_h
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
     for step in rollout.steps:
         for user in step.road_users:
             if user.id not in rollout.users:
@@ -133,7 +139,7 @@ def read_rollout_parquet(path: Path) -> Rollout:
         rollout = convert_checked({**header, "steps": rows}, Rollout)
     except (ValueError, AttributeError, KeyError, RecursionError, TypeError) as error:
         raise ValueError(f"{path}: a roll-out that can't be read: {printable_line(error)}") from None
-    check_users(path, rollout)
+    check_rollout(path, rollout)
     return rollout
 
 
