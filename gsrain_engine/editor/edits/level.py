@@ -50,7 +50,7 @@ def oriented(scene: Scene, up: str | None = None, metres_per_unit: float | None 
         x, y, z = (sign if axis == component else 0.0 for axis in range(3))
         if (x, y, z) != scene.up:
             scene = _with_water_found(replace(scene, up=(x, y, z), ground_m=None, water=None))
-        scene = replace(scene, up_is_assumed=False)
+        scene = replace(scene, up_is_assumed=False) if scene.up_is_assumed else scene
     if metres_per_unit is None:
         return scene
     low, high = UNIT_M
