@@ -157,7 +157,8 @@ def status_bar(editor: Editor) -> None:
     fps_at, room = room, room - tray_width(editor.jobs)
     hint = f"{tool.name}: {tool.help}" if tool is not None else ""
     newest = editor.status.log.lines[-1] if editor.status.log.lines else None
-    if newest is not None and newest.level == logging.INFO and datetime.now() - newest.at < _NEW and newest.text:
+    age = datetime.now() - newest.at if newest is not None and newest.level == logging.INFO else _NEW
+    if newest is not None and timedelta() <= age < _NEW and newest.text:  # below 0 the clock was set back
         hint = newest.text  # such as "Exported out.ply"; errors appear over the viewport instead
     if hint:
         imgui.same_line()
