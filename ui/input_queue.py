@@ -4,7 +4,8 @@ Dear ImGui merges most of what comes between two frames. So it loses a press tha
 tab or an overlapped item counts it only if the mouse was over it one frame before), the end of a drag that comes with
 the release, and the Ctrl of a shortcut that comes with Ctrl's release; and it measures double clicks between frames.
 Here a frame ends before and after each press and release of a button, after each press of a key, and before keys that
-follow the mouse; double clicks are measured between the presses.
+follow the mouse; double clicks are measured between the presses. What is typed after a press that opens a text field
+waits until the field can have it.
 """
 
 import ctypes
@@ -20,6 +21,7 @@ import glfw  # isort: skip
 
 _MODIFIERS = range(glfw.KEY_LEFT_SHIFT, glfw.KEY_RIGHT_SUPER + 1)
 _Type = imgui.internal.InputEventType
+_OPENING_FRAMES = 4  # after a press, in which a dialog opens, a text field in it appears, and gets the focus
 
 
 class InputQueue:
@@ -32,6 +34,10 @@ class InputQueue:
         """Ids of the events that are the last of their frames."""
         self._presses = dict[int, tuple[int, bool]]()
         """Button of each press that waits, by the event's id, and whether it continues a double click."""
+        self._typed = set[int]()
+        """Ids of the characters that wait."""
+        self._opening = 0
+        """Frames in which the last press may still open a text field."""
         self._pressed_s = dict[int, float]()
         """Time of the last press of each button."""
         self._later = imgui.ImVector_InputEvent(), 0
@@ -53,10 +59,17 @@ class InputQueue:
             self._has_left = False
             self._of_imgui["CursorEnter"](self._window, 0)
         while self._ends and (not len(queue) or self._ends[0] < queue[0].event_id):
-            self._presses.pop(self._ends.popleft(), None)
+            self._presses.pop(self._ends[0], None)
+            self._typed.discard(self._ends.popleft())
+        self._opening = max(self._opening - 1, 0)
         if not self._ends:
             return False
         end, events = self._ends[0], imgui.ImVector_InputEvent(queue)
+        if end in self._typed and self._opening and not imgui.get_io().want_text_input:
+            queue.clear()
+            self._later = events, 0
+            return True
+        self._opening = _OPENING_FRAMES
         if end in self._presses:
             button, is_repeated = self._presses[end]
             imgui.get_io().mouse_clicked_time[button] = math.inf if is_repeated else -math.inf
@@ -114,8 +127,10 @@ class InputQueue:
         is_of_key = is_of_key and _newest_type() in (_Type.key, _Type.text)
         self._of_imgui["Char"](window, character)
         if is_of_key:
-            self._ends.pop()
-            self._end_here()
+            self._typed.discard(self._ends.pop())
+        self._end_here()
+        if self._ends:
+            self._typed.add(self._ends[-1])
 
     def _on_enter(self, window: Any, entered: int) -> None:
         """Let the mouse leave after all events: Dear ImGui would move those that wait to where the mouse is by then."""
