@@ -13,6 +13,7 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable
+from itertools import takewhile
 from typing import Any
 
 from imgui_bundle import imgui
@@ -54,7 +55,8 @@ class InputQueue:
 
     def begin_frame(self) -> bool:
         """Leave in the queue what the next frame takes, before `imgui.new_frame`; returns whether more waits."""
-        queue = _queue()
+        queue, io = _queue(), imgui.get_io()
+        io.config_input_trickle_event_queue = True
         if self._has_left and not len(queue):
             self._has_left = False
             self._of_imgui["CursorEnter"](self._window, 0)
@@ -65,14 +67,17 @@ class InputQueue:
         if not self._ends:
             return False
         end, events = self._ends[0], imgui.ImVector_InputEvent(queue)
-        if end in self._typed and self._opening and not imgui.get_io().want_text_input:
+        if end in self._typed and self._opening and not io.want_text_input:
             queue.clear()
             self._later = events, 0
             return True
         self._opening = _OPENING_FRAMES
+        if io.want_text_input and end in self._typed:  # a text field takes any number of characters at once
+            end = list(takewhile(self._typed.__contains__, self._ends))[-1]
+            io.config_input_trickle_event_queue = False
         if end in self._presses:
             button, is_repeated = self._presses[end]
-            imgui.get_io().mouse_clicked_time[button] = math.inf if is_repeated else -math.inf
+            io.mouse_clicked_time[button] = math.inf if is_repeated else -math.inf
         while queue[len(queue) - 1].event_id > end:
             queue.pop_back()
         self._later = events, len(queue)
