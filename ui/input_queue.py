@@ -90,10 +90,12 @@ class InputQueue:
             _queue().push_back(events[number])
         self._later = imgui.ImVector_InputEvent(), 0
 
-    def end_frame(self) -> None:
-        """Read the times of the presses that have come meanwhile, before GLFW reads its events."""
+    def end_frame(self) -> bool:
+        """Read the events that have come meanwhile, with the times of presses; returns whether any wait."""
         if self._times is not None:
             self._times.read()
+            glfw.poll_events()  # at once: presses that come between both have no times
+        return len(_queue()) > 0
 
     def _replace(self, name: str, kind: Any, callback: Callable[..., None]) -> object:
         """Replace a callback of Dear ImGui, which the functions of the glfw package would not return."""
