@@ -115,8 +115,8 @@ class InputQueue:
         self._of_imgui["MouseButton"](window, button, action, modifiers)
         self._end_here()
         if action == glfw.PRESS and _newest_type() == _Type.mouse_button:
-            now_s = self._times.take() if self._times is not None else time.monotonic()
-            since_s = now_s - self._pressed_s.get(button, -math.inf)
+            now_s, late_s = self._times.take() if self._times is not None else (time.monotonic(), 0.0)
+            since_s = now_s - late_s - self._pressed_s.get(button, -math.inf)
             self._presses[self._ends[-1]] = button, since_s < imgui.get_io().mouse_double_click_time
             self._pressed_s[button] = now_s
 
@@ -163,10 +163,12 @@ class X11PressTimes:
         self._display = ctypes.c_void_p(glfw.get_x11_display())
         self._window = glfw.get_x11_window(window)
         self._waiting_s = deque[float]()
+        self._read_s = time.monotonic()
 
     def read(self) -> None:
         """Read the events that wait, and put them back."""
         self._waiting_s.clear()
+        self._read_s = time.monotonic()
         events = (XEvent * self._x11.XEventsQueued(self._display, _QUEUED_AFTER_READING))()
         for event in events:
             self._x11.XNextEvent(self._display, ctypes.byref(event))
@@ -175,13 +177,17 @@ class X11PressTimes:
         for event in reversed(events):
             self._x11.XPutBackEvent(self._display, ctypes.byref(event))
 
-    def take(self) -> float:
-        """Return the time in s of the press that GLFW delivers now, as of `time.monotonic`."""
-        return self._waiting_s.popleft() if self._waiting_s else time.monotonic()
+    def take(self) -> tuple[float, float]:
+        """Return the time in s of the press that GLFW delivers now, as of `time.monotonic`, and how early it may be."""
+        if self._waiting_s:
+            return self._waiting_s.popleft(), 0.0
+        now_s = time.monotonic()
+        return now_s, min(now_s - self._read_s, _MAX_LATE_S)
 
 
 _QUEUED_AFTER_READING, _BUTTON_PRESS, _WHEEL = 1, 4, range(4, 8)  # numbers of Xlib and of the X protocol
 _MAX_AGE_MS = 60_000
+_MAX_LATE_S = 0.15  # a busy machine may stop the program for longer, and one at rest delivers events at once
 
 
 def _local_s(server_ms: int) -> float:
