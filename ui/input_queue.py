@@ -4,7 +4,8 @@ Dear ImGui merges most of what comes between two frames. So it loses a press tha
 tab or an overlapped item counts it only if the mouse was over it one frame before), the end of a drag that comes with
 the release, and the Ctrl of a shortcut that comes with Ctrl's release; and it measures double clicks between frames.
 Here a frame ends before and after each press and release of a button, after each press of a key, and before keys that
-follow the mouse; double clicks are measured between the presses.
+follow the mouse; double clicks are measured between the presses. What is typed after a press that opens a text field
+waits until the field can have it.
 """
 
 import ctypes
@@ -12,6 +13,7 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable
+from itertools import takewhile
 from typing import Any
 
 from imgui_bundle import imgui
@@ -20,6 +22,7 @@ import glfw  # isort: skip
 
 _MODIFIERS = range(glfw.KEY_LEFT_SHIFT, glfw.KEY_RIGHT_SUPER + 1)
 _Type = imgui.internal.InputEventType
+_OPENING_FRAMES = 4  # after a press, in which a dialog opens, a text field in it appears, and gets the focus
 
 
 class InputQueue:
@@ -32,6 +35,10 @@ class InputQueue:
         """Ids of the events that are the last of their frames."""
         self._presses = dict[int, tuple[int, bool]]()
         """Button of each press that waits, by the event's id, and whether it continues a double click."""
+        self._typed = set[int]()
+        """Ids of the characters that wait."""
+        self._opening = 0
+        """Frames in which the last press may still open a text field."""
         self._pressed_s = dict[int, float]()
         """Time of the last press of each button."""
         self._later = imgui.ImVector_InputEvent(), 0
@@ -48,18 +55,29 @@ class InputQueue:
 
     def begin_frame(self) -> bool:
         """Leave in the queue what the next frame takes, before `imgui.new_frame`; returns whether more waits."""
-        queue = _queue()
+        queue, io = _queue(), imgui.get_io()
+        io.config_input_trickle_event_queue = True
         if self._has_left and not len(queue):
             self._has_left = False
             self._of_imgui["CursorEnter"](self._window, 0)
         while self._ends and (not len(queue) or self._ends[0] < queue[0].event_id):
-            self._presses.pop(self._ends.popleft(), None)
+            self._presses.pop(self._ends[0], None)
+            self._typed.discard(self._ends.popleft())
+        self._opening = max(self._opening - 1, 0)
         if not self._ends:
             return False
         end, events = self._ends[0], imgui.ImVector_InputEvent(queue)
+        if end in self._typed and self._opening and not io.want_text_input:
+            queue.clear()
+            self._later = events, 0
+            return True
+        self._opening = _OPENING_FRAMES
+        if io.want_text_input and end in self._typed:  # a text field takes any number of characters at once
+            end = list(takewhile(self._typed.__contains__, self._ends))[-1]
+            io.config_input_trickle_event_queue = False
         if end in self._presses:
             button, is_repeated = self._presses[end]
-            imgui.get_io().mouse_clicked_time[button] = math.inf if is_repeated else -math.inf
+            io.mouse_clicked_time[button] = math.inf if is_repeated else -math.inf
         while queue[len(queue) - 1].event_id > end:
             queue.pop_back()
         self._later = events, len(queue)
@@ -72,10 +90,12 @@ class InputQueue:
             _queue().push_back(events[number])
         self._later = imgui.ImVector_InputEvent(), 0
 
-    def end_frame(self) -> None:
-        """Read the times of the presses that have come meanwhile, before GLFW reads its events."""
+    def end_frame(self) -> bool:
+        """Read the events that have come meanwhile, with the times of presses; returns whether any wait."""
         if self._times is not None:
             self._times.read()
+            glfw.poll_events()  # at once: presses that come between both have no times
+        return len(_queue()) > 0
 
     def _replace(self, name: str, kind: Any, callback: Callable[..., None]) -> object:
         """Replace a callback of Dear ImGui, which the functions of the glfw package would not return."""
@@ -95,8 +115,8 @@ class InputQueue:
         self._of_imgui["MouseButton"](window, button, action, modifiers)
         self._end_here()
         if action == glfw.PRESS and _newest_type() == _Type.mouse_button:
-            now_s = self._times.take() if self._times is not None else time.monotonic()
-            since_s = now_s - self._pressed_s.get(button, -math.inf)
+            now_s, late_s = self._times.take() if self._times is not None else (time.monotonic(), 0.0)
+            since_s = now_s - late_s - self._pressed_s.get(button, -math.inf)
             self._presses[self._ends[-1]] = button, since_s < imgui.get_io().mouse_double_click_time
             self._pressed_s[button] = now_s
 
@@ -114,8 +134,10 @@ class InputQueue:
         is_of_key = is_of_key and _newest_type() in (_Type.key, _Type.text)
         self._of_imgui["Char"](window, character)
         if is_of_key:
-            self._ends.pop()
-            self._end_here()
+            self._typed.discard(self._ends.pop())
+        self._end_here()
+        if self._ends:
+            self._typed.add(self._ends[-1])
 
     def _on_enter(self, window: Any, entered: int) -> None:
         """Let the mouse leave after all events: Dear ImGui would move those that wait to where the mouse is by then."""
@@ -141,10 +163,12 @@ class X11PressTimes:
         self._display = ctypes.c_void_p(glfw.get_x11_display())
         self._window = glfw.get_x11_window(window)
         self._waiting_s = deque[float]()
+        self._read_s = time.monotonic()
 
     def read(self) -> None:
         """Read the events that wait, and put them back."""
         self._waiting_s.clear()
+        self._read_s = time.monotonic()
         events = (XEvent * self._x11.XEventsQueued(self._display, _QUEUED_AFTER_READING))()
         for event in events:
             self._x11.XNextEvent(self._display, ctypes.byref(event))
@@ -153,13 +177,17 @@ class X11PressTimes:
         for event in reversed(events):
             self._x11.XPutBackEvent(self._display, ctypes.byref(event))
 
-    def take(self) -> float:
-        """Return the time in s of the press that GLFW delivers now, as of `time.monotonic`."""
-        return self._waiting_s.popleft() if self._waiting_s else time.monotonic()
+    def take(self) -> tuple[float, float]:
+        """Return the time in s of the press that GLFW delivers now, as of `time.monotonic`, and how early it may be."""
+        if self._waiting_s:
+            return self._waiting_s.popleft(), 0.0
+        now_s = time.monotonic()
+        return now_s, min(now_s - self._read_s, _MAX_LATE_S)
 
 
 _QUEUED_AFTER_READING, _BUTTON_PRESS, _WHEEL = 1, 4, range(4, 8)  # numbers of Xlib and of the X protocol
 _MAX_AGE_MS = 60_000
+_MAX_LATE_S = 0.15  # a busy machine may stop the program for longer, and one at rest delivers events at once
 
 
 def _local_s(server_ms: int) -> float:

@@ -287,8 +287,8 @@ class MainWindow:
     def _rest(self) -> None:
         if self.workspace is not None:
             self.workspace.rest()
-        if self._input is not None:
-            self._input.end_frame()
+        if self._input is not None and self._input.end_frame():
+            hello_imgui.get_runner_params().fps_idling.enable_idling = False
 
     def advance(self, context: moderngl.Context) -> None:
         if self.workspace is not None:

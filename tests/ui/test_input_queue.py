@@ -13,6 +13,7 @@ from gsrain_engine.editor.editor import Editor
 from small_scene import small_scene
 from ui.commands.keys import chord
 from ui.input_queue import XEvent
+from ui.widgets.numbers import slide
 from ui.window import MainWindow
 from window_driver import hello_imgui, imgui, shrink_painting, wait_for_double_clicks
 
@@ -74,7 +75,7 @@ class Panels(MainWindow):
         super().__init__(lambda: None)
         self.frame_ms = frame_ms
         self.places, self.answers, self.values = {}, [], dict.fromkeys(_PANELS, 0.0)
-        self.texts = dict.fromkeys(_PANELS, "")
+        self.answered, self.texts = dict(self.values), dict.fromkeys(_PANELS, "")
 
     def _load(self):
         pass
@@ -118,9 +119,10 @@ class Panels(MainWindow):
         if imgui.selectable("Row", False, imgui.SelectableFlags_.allow_double_click)[0]:
             self.answers.append(("double" if imgui.is_mouse_double_clicked(0) else "single", panel))
         self._note_place(panel, "row")
-        _, self.values[panel] = imgui.slider_float("##value", self.values[panel], 0.0, 1.0)
-        if imgui.is_item_deactivated_after_edit():
+        _, self.values[panel] = slide("##value", self.values[panel], 0.0, 1.0, "%.2f")
+        if not imgui.is_any_item_active() and self.values[panel] != self.answered[panel]:
             self.answers.append(("drag", panel, round(self.values[panel], 1)))
+            self.answered[panel] = self.values[panel]
         self._note_place(panel, "slider")
         is_entered, self.texts[panel] = imgui.input_text(
             "##text", self.texts[panel], imgui.InputTextFlags_.enter_returns_true
@@ -129,6 +131,18 @@ class Panels(MainWindow):
             self.answers.append(("text", panel, self.texts[panel]))
         self._note_place(panel, "text")
         imgui.dummy(ImVec2(10, 900 if panel == "Long" else 1))
+        if panel == "Short" and imgui.is_key_chord_pressed(chord(imgui.Key.mod_ctrl, imgui.Key.p)):
+            imgui.open_popup("Dialog")
+            self.texts["Dialog"] = ""
+        if imgui.begin_popup_modal("Dialog")[0]:
+            if imgui.is_window_appearing():
+                imgui.set_keyboard_focus_here()
+            flags = imgui.InputTextFlags_.enter_returns_true
+            is_entered, self.texts["Dialog"] = imgui.input_text("##name", self.texts["Dialog"], flags)
+            if is_entered:
+                self.answers.append(("text", "Dialog", self.texts["Dialog"]))
+                imgui.close_current_popup()
+            imgui.end_popup()
         if panel == "Short" and imgui.is_key_chord_pressed(int(imgui.Key.i)):
             self.answers.append(("key", "I"))
         if panel == "Short" and imgui.is_key_chord_pressed(chord(imgui.Key.mod_ctrl, imgui.Key.i)):
@@ -200,6 +214,29 @@ class Hand:
             self.do(20, "key", symbol, False)
         self.expected.append(("text", panel, "bee"))
 
+    def type_in_dialog(self):
+        """Type a word into a dialog that a shortcut opens."""
+        self.pause()
+        self.do(0, "key", _CTRL, True)
+        for symbol in map(ord, "pab"):
+            self.do(10, "key", symbol, True)
+            self.do(20, "key", symbol, False)
+            if symbol == ord("p"):
+                self.do(0, "key", _CTRL, False)
+        for is_down in (True, False):
+            self.do(10, "key", _ENTER, is_down)
+        self.expected.append(("text", "Dialog", "ab"))
+
+    def type_number(self, panel):
+        """Type a number after a double click on a slider."""
+        self.press(self.window.places[panel, "slider"](0.5))
+        for is_down in (False, True, False):
+            self.do(self.hold(), "button", is_down)
+        for symbol in (*map(ord, "0.5"), _ENTER):
+            self.do(10, "key", symbol, True)
+            self.do(20, "key", symbol, False)
+        self.expected.append(("drag", panel, 0.5))
+
 
 @pytest.mark.parametrize("frame_ms", [200, 40])
 def test_nothing_is_lost_and_nothing_becomes_another_thing_at_any_frame_rate(frame_ms):
@@ -218,6 +255,8 @@ def test_nothing_is_lost_and_nothing_becomes_another_thing_at_any_frame_rate(fra
             hand.shortcut(with_ctrl=number % 2 == 0)
         for panel in _PANELS:
             hand.type_in(panel)
+            hand.type_number(panel)
+        hand.type_in_dialog()
         wait_for_double_clicks()
         x_input, events = XInput(), iter(hand.events)
         due = next(events)
