@@ -41,8 +41,8 @@ _HANGING = 20  # connections that a hostile client leaves open at a time
 class Attack:
     """A hostile client and a sound one of an open door."""
 
-    def send(self, chance: Random) -> None:
-        """Send one hostile message. Raises `AssertionError` if it is answered as none should be."""
+    def send(self, chance: Random) -> int:
+        """Send hostile messages; returns their number. Raises `AssertionError` if one is answered as none should be."""
         raise NotImplementedError
 
     def check_others(self) -> None:
@@ -118,11 +118,11 @@ class _Calls(Attack):
         """Answer to a sound client."""
         raise NotImplementedError
 
-    def send(self, chance: Random) -> None:
+    def send(self, chance: Random) -> int:
         kind = chance.random()
         if kind < 0.03:
             self._hang(chance)
-            return
+            return 1
         if kind < 0.06:
             self._channel.close()
             self._channel = self._connected()
@@ -136,6 +136,7 @@ class _Calls(Attack):
             data += bytes(70 << 20)
         status, _ = self.call(self._channel, method, data, TOKEN if chance.random() < 0.95 else "another")
         assert status in REFUSALS | {"OK"}, f"{method} ends with {status}: {data[:2000].hex()}"
+        return 1
 
     def _hang(self, chance: Random) -> None:
         """Begin to send something, and leave it so."""
@@ -355,16 +356,18 @@ class _Page(Attack):
         self._cameras, self._shown = [camera, gr.home_camera(small_scene(), (32, 48))], 0
         assert self._sound.shows(gr.render(small_scene(), gr.Rain(3), camera, backend="cpu").rgb.astype(int))
 
-    def send(self, chance: Random) -> None:
+    def send(self, chance: Random) -> int:
         from websockets.exceptions import WebSocketException
 
         from python_api.test_browser import connected
 
+        count = chance.choice((1, 1, 1, 30))
         with suppress(WebSocketException, OSError, EOFError, TimeoutError), connected(self._url) as connection:
-            for _ in range(chance.choice((1, 1, 1, 30))):
+            for _ in range(count):
                 connection.send(self._hostile(chance))
             if chance.random() < 0.3:
                 connection.recv(0.01)
+        return count
 
     def _hostile(self, chance: Random) -> bytes | str:
         import viser
@@ -413,7 +416,7 @@ class _Requests(Attack):
         self._url = urlsplit(url)
         self._hanging: list[socket.socket] = []
 
-    def send(self, chance: Random) -> None:
+    def send(self, chance: Random) -> int:
         host = f"localhost:{self._url.port}"
         path = chance.choice(
             (self._url.path, "/", "/x", "/..", f"{self._url.path}/../..", f"{self._url.path}/%00", "/" + "a" * 9000)
@@ -433,6 +436,7 @@ class _Requests(Attack):
         self._hanging.append(plug)
         while len(self._hanging) > _HANGING:
             self._hanging.pop(0).close()
+        return 1
 
     def check_others(self) -> None:
         connection = HTTPConnection("localhost", self._url.port, timeout=60)
@@ -476,18 +480,20 @@ def campaign(name: str, messages: int, seed: int) -> tuple[int, str | None]:
         attack.check_others()
         process = psutil.Process(server.pid)
         before = process.memory_info().rss
-        for number in range(messages):
+        sent = checked = 0
+        while sent < messages:
             try:
-                attack.send(Random(seed + number))
-                if number % _CHECKED_EVERY == _CHECKED_EVERY - 1:
+                sent += attack.send(Random(seed + sent))
+                if sent >= checked + _CHECKED_EVERY:
                     attack.check_others()
+                    checked = sent
             except Exception as error:
-                return growth, f"message {number}: {type(error).__name__}: {error}"
+                return growth, f"message {sent}: {type(error).__name__}: {error}"
             if server.exitcode is not None:
-                return growth, f"message {number}: the server has ended, exit code {server.exitcode}"
+                return growth, f"message {sent}: the server has ended, exit code {server.exitcode}"
             growth = max(growth, process.memory_info().rss - before)
             if growth > door.limit_bytes:
-                return growth, f"message {number}: the server has grown by {growth >> 20} MB"
+                return growth, f"message {sent}: the server has grown by {growth >> 20} MB"
         attack.close()
     finally:
         server.kill()
