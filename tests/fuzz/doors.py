@@ -33,7 +33,7 @@ REFUSALS = {
 }  # fmt: skip
 """Statuses that a hostile call may end with; others, such as INTERNAL and UNAVAILABLE, are findings."""
 TOKEN = "a-token"
-_PATIENCE_S = 5.0
+_PATIENCE_S, _COMPILING_S = 5.0, 600.0
 _CHECKED_EVERY = 100
 _HANGING = 20  # connections that a hostile client leaves open at a time
 
@@ -99,13 +99,15 @@ class _Calls(Attack):
         options = [("grpc.use_local_subchannel_pool", 1), ("grpc.max_receive_message_length", -1)]
         return grpc.insecure_channel(self._address, options)
 
-    def call(self, channel: Any, method: str, data: bytes, token: str = TOKEN) -> tuple[str, bytes]:
+    def call(
+        self, channel: Any, method: str, data: bytes, token: str = TOKEN, patience_s: float = _PATIENCE_S
+    ) -> tuple[str, bytes]:
         """Status and answer of a call."""
         import grpc
 
         metadata = [("authorization", f"Bearer {token}")]
         try:
-            return "OK", channel.unary_unary(f"/{method}")(data, metadata=metadata, timeout=_PATIENCE_S)
+            return "OK", channel.unary_unary(f"/{method}")(data, metadata=metadata, timeout=patience_s)
         except grpc.RpcError as error:
             assert len(error.details() or "") < 400 and "Traceback" not in (error.details() or ""), error.details()
             return error.code().name, b""
@@ -200,7 +202,8 @@ class _AlpaSim(_Calls):
         return f"{SERVICE}/{name}", request
 
     def sound(self, channel: Any) -> bytes:
-        return self.call(channel, f"{SERVICE}/render_rgb", self._picture.SerializeToString())[1]
+        data = self._picture.SerializeToString()
+        return self.call(channel, f"{SERVICE}/render_rgb", data, patience_s=_COMPILING_S)[1]
 
 
 class _Carla(_Calls):
@@ -274,7 +277,9 @@ class _Carla(_Calls):
         self._frames += 1
         sent = self._frame(self._frames)
         del sent.sensors[1:]
-        _, data = self.call(channel, f"{carla_service.SERVICE}/Render", sent.SerializeToString())
+        _, data = self.call(
+            channel, f"{carla_service.SERVICE}/Render", sent.SerializeToString(), patience_s=_COMPILING_S
+        )
         return self._pb.RenderResponse.FromString(data).measurements[0].image.raw_data if data else b""
 
 
