@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from http.client import HTTPConnection
+from importlib import import_module
 from random import Random
 from typing import Any
 from urllib.parse import urlsplit
@@ -88,12 +89,12 @@ class _Calls(Attack):
 
     def __init__(self, address: str) -> None:
         self._address = address
-        self._channel = self._connected()
-        self._sound = self._connected()
+        self._channel = self.connected()
+        self._sound = self.connected()
         self._expected: bytes | None = None
         self._hanging: list[socket.socket] = []
 
-    def _connected(self) -> Any:
+    def connected(self) -> Any:
         import grpc
 
         options = [("grpc.use_local_subchannel_pool", 1), ("grpc.max_receive_message_length", -1)]
@@ -127,7 +128,7 @@ class _Calls(Attack):
             return 1
         if kind < 0.06:
             self._channel.close()
-            self._channel = self._connected()
+            self._channel = self.connected()
         method, sent = self.hostile(chance)
         if chance.random() < 0.7:
             damage_message(sent, chance)
@@ -223,8 +224,8 @@ class _Carla(_Calls):
             status, _ = self.call(channel, f"{carla_service.SERVICE}/{name}", sent.SerializeToString())
             assert status in ("OK", "RESOURCE_EXHAUSTED"), status
 
-    def _connected(self) -> Any:
-        channel = super()._connected()
+    def connected(self) -> Any:
+        channel = super().connected()
         self._load(channel)
         return channel
 
@@ -375,8 +376,6 @@ class _Page(Attack):
         return count
 
     def _hostile(self, chance: Random) -> bytes | str:
-        import viser
-
         pose = {"wxyz": [1.0, 0, 0, 0], "position": [0.0, 0, 2], "look_at": [1.0, 0, 2], "up_direction": [0.0, 0, 1],
                 "fov": 1.0, "near": 0.01, "far": 100.0, "image_height": 32, "image_width": 48}  # fmt: skip
         control = chance.choice([*self._sound.controls.values(), "none"])
@@ -394,7 +393,7 @@ class _Page(Attack):
             name = chance.choice(("value", "value", "value", "update_cb", "removed", "uuid", "gui_api"))
             sent = {"type": "GuiUpdateMessage", "uuid": control, "updates": {name: value}}
         else:
-            names = [each.__name__ for each in viser._messages.Message.get_subclasses()]
+            names = [each.__name__ for each in import_module("viser._messages").Message.get_subclasses()]
             sent = {"type": chance.choice((*names, "x")), "uuid": control, "source_component_uuid": control}
             sent |= {"transfer_uuid": "t", "filename": "f", "mime_type": "", "part_count": 0, "size_bytes": 1 << 40}
         data = msgspec.msgpack.encode(sent)
