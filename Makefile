@@ -73,8 +73,9 @@ lint: setup $(VENV)/.installed-jobs
 	$(RUN)/pyright --pythonpath $(RUN)/python
 
 # Damaged files by the thousand for every reader: MINUTES each (make fuzz MINUTES=1 READERS="ply spz-4").
+# MESSAGES=10000: that many hostile messages for every server's door instead.
 fuzz: setup
-	$(RUN)/python -m tests.fuzz --minutes $(or $(MINUTES),10) $(READERS)
+	$(RUN)/python -m tests.fuzz --minutes $(or $(MINUTES),10) --messages $(or $(MESSAGES),0) $(READERS)
 
 pictures: setup
 	xvfb-run --auto-servernum --server-args="-screen 0 2880x3000x24" $(RUN)/python -m docs.take_pictures

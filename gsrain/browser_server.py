@@ -36,7 +36,7 @@ _Vector = tuple[float, float, float]
 _Word = Annotated[str, msgspec.Meta(max_length=_LONGEST_WORD)]
 
 
-class _Camera(msgspec.Struct, tag_field="type", tag="ViewerCameraMessage", frozen=True, forbid_unknown_fields=True):
+class _CameraSent(msgspec.Struct, tag_field="type", tag="ViewerCameraMessage", frozen=True, forbid_unknown_fields=True):
     """Camera of a browser."""
 
     wxyz: tuple[float, float, float, float]
@@ -50,18 +50,18 @@ class _Camera(msgspec.Struct, tag_field="type", tag="ViewerCameraMessage", froze
     up_direction: _Vector
 
 
-class _Changed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class _NewValue(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     value: bool | int | float | _Word | tuple[float, ...]
 
 
-class _Update(msgspec.Struct, tag_field="type", tag="GuiUpdateMessage", frozen=True, forbid_unknown_fields=True):
+class _ValueSent(msgspec.Struct, tag_field="type", tag="GuiUpdateMessage", frozen=True, forbid_unknown_fields=True):
     """New value of a control."""
 
     uuid: _Word
-    updates: _Changed
+    updates: _NewValue
 
 
-_MESSAGES = msgspec.msgpack.Decoder(_Camera | _Update)
+_MESSAGES = msgspec.msgpack.Decoder(_CameraSent | _ValueSent)
 _opening = threading.Lock()
 
 
@@ -188,7 +188,7 @@ class _Guard:
             message = _MESSAGES.decode(data)
         except (msgspec.MsgspecError, RecursionError) as error:
             raise ValueError(" ".join(str(error).split())) from None
-        if isinstance(message, _Update):
+        if isinstance(message, _ValueSent):
             control = self._control(message.uuid)
             if control is None:
                 return None
@@ -213,7 +213,7 @@ class _Pace:
             await asyncio.sleep(-self._left / _PER_S)
 
 
-def _numbers(camera: _Camera) -> Iterator[float]:
+def _numbers(camera: _CameraSent) -> Iterator[float]:
     for value in msgspec.structs.astuple(camera):
         yield from value if isinstance(value, tuple) else (value,)
 

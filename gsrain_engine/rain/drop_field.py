@@ -152,7 +152,7 @@ def _sine_and_cosine(fraction_x, numbers):
 def _split_offset(periods):
     """Whole periods of an offset, and the rest in 2^-32 of a period."""
     whole = np.floor(periods)
-    return whole, np.uint32(np.int32(min(periods - whole, _BELOW_ONE) * _STEPS_OF_FRACTION)) << np.uint32(8)
+    return whole, np.uint32(np.int32(min(_BELOW_ONE, periods - whole) * _STEPS_OF_FRACTION)) << np.uint32(8)
 
 
 @numba.njit(inline="always")

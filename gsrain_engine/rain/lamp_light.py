@@ -166,7 +166,7 @@ def _lit_angles(ray, lamp, nearest, b, step):
 @no_type_check
 def _sum_to(angle, sums):
     """Integral of the phase function up to an angle of scattering (radians)."""
-    at = min(max(angle * np.float32((ANGLES - 1) / np.pi), np.float32(0)), np.float32(ANGLES - 1))
+    at = min(max(np.float32(0), angle * np.float32((ANGLES - 1) / np.pi)), np.float32(ANGLES - 1))
     k = min(np.int32(at), np.int32(ANGLES - 2))
     return sums[k] + (at - np.float32(k)) * (sums[k + 1] - sums[k])
 
@@ -620,7 +620,7 @@ def _light_drops(points, lamps, numbers, drawn, phase, light):
             share = _cone((lamp[3] * vx + lamp[4] * vy + lamp[5] * vz) / length, lamp)
             if share <= 0:
                 continue
-            cosine = min(max(-(vx * x + vy * y + vz * z) / (length * away), np.float32(-1)), np.float32(1))
+            cosine = min(max(np.float32(-1), -(vx * x + vy * y + vz * z) / (length * away)), np.float32(1))
             at = np.arccos(cosine) * np.float32((ANGLES - 1) / np.pi)
             k = min(np.int32(at), np.int32(ANGLES - 2))
             scattered = phase[k] + (at - np.float32(k)) * (phase[k + 1] - phase[k])

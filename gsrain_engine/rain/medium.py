@@ -202,7 +202,7 @@ def _between(x, y, z, length, right, up, ahead, start, half, enters, leaves):
 @numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
 def _drawn_up_to(depth_m, step_m, drawn):
-    at = min(max(depth_m / step_m, np.float32(0)), np.float32(len(drawn) - 1))
+    at = min(max(np.float32(0), depth_m / step_m), np.float32(len(drawn) - 1))
     k = max(min(np.int32(at), np.int32(len(drawn) - 2)), np.int32(0))  # NaN has no row
     return drawn[k] + (at - np.float32(k)) * (drawn[k + 1] - drawn[k])
 

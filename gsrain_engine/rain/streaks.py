@@ -127,7 +127,7 @@ def _streak(diameter_mm, speed, across, depth, moving, stretch, numbers, max_cop
 
     length = speed * exposure * stretch
     ratio = AXIS_RATIO_SLOPE * diameter_mm + AXIS_RATIO_OFFSET if diameter_mm > 1 else 1.0
-    copies = int(min(max(np.rint(length / (ratio * diameter)), 1), max_copies))
+    copies = int(min(max(1, np.rint(length / (ratio * diameter))), max_copies))
     narrowing = alpha / max(np.sqrt(2 * np.pi) * opacity, 1e-30)
     across_sigma = np.sqrt(np.pi / 32) * max(diameter, depth / focal) * narrowing
     along_sigma = max(length / copies, across_sigma)

@@ -97,9 +97,9 @@ def _quantize(rgba, background, pixels):
         for column in range(pixels.shape[1]):
             color, pixel = rgba[row, column], pixels[row, column]
             behind = one - color[3]
-            pixel[0] = np.int32(np.rint(min(max(color[0] + behind * red, zero), one) * top))
-            pixel[1] = np.int32(np.rint(min(max(color[1] + behind * green, zero), one) * top))
-            pixel[2] = np.int32(np.rint(min(max(color[2] + behind * blue, zero), one) * top))
+            pixel[0] = np.int32(np.rint(min(max(zero, color[0] + behind * red), one) * top))
+            pixel[1] = np.int32(np.rint(min(max(zero, color[1] + behind * green), one) * top))
+            pixel[2] = np.int32(np.rint(min(max(zero, color[2] + behind * blue), one) * top))
 
 
 PendingImage = Callable[[], UInt8[np.ndarray, "h w 3"]]

@@ -227,7 +227,7 @@ def _to_morton_keys(means, low, cells_a_unit, keys):
             cell = (means[n, axis] - low[axis]) * cells_a_unit[axis]
             if not (cell > 0):  # also NaN
                 cell = 0.0
-            code |= _spread(np.uint64(min(cell, _CELLS - 1.0))) << np.uint64(axis)
+            code |= _spread(np.uint64(min(_CELLS - 1.0, cell))) << np.uint64(axis)
         keys[k] = (code << np.uint64(32)) | n
 
 

@@ -253,7 +253,7 @@ def _hilbert_codes(means, low, cells_a_unit, codes):
             cell = (means[n, axis] - low[axis]) * cells_a_unit
             if not (cell > 0):  # also NaN
                 cell = 0.0
-            x[axis] = np.uint64(min(cell, 2.0**_BITS - 1))
+            x[axis] = np.uint64(min(2.0**_BITS - 1, cell))
         bit = np.uint64(1 << (_BITS - 1))
         while bit > np.uint64(1):
             below = bit - np.uint64(1)
@@ -587,8 +587,8 @@ def _is_hidden(u, v, nearest_m, reach, depths_m, levels):
         u, v, reach = 0.5 * u, 0.5 * v, 0.5 * reach
     columns, rows, start = levels[level, 0], levels[level, 1], levels[level, 2]
     # What lies outside of the image has the depths of its border.
-    left, right = min(max(u - reach, 0.0), columns - 1.0), min(max(u + reach, 0.0), columns - 1.0)
-    top, bottom = min(max(v - reach, 0.0), rows - 1.0), min(max(v + reach, 0.0), rows - 1.0)
+    left, right = min(max(0.0, u - reach), columns - 1.0), min(max(0.0, u + reach), columns - 1.0)
+    top, bottom = min(max(0.0, v - reach), rows - 1.0), min(max(0.0, v + reach), rows - 1.0)
     for column in range(np.int64(left), np.int64(right) + 1):
         for row in range(np.int64(top), np.int64(bottom) + 1):
             if depths_m[start + column * rows + row] >= nearest_m:

@@ -272,7 +272,7 @@ def _blur_columns(image, sines, shares, tables, fy, cy, light):
         for row in range(top, height):
             slant = (np.float32(row) + np.float32(0.5) - cy) / fy
             scale = np.float32(2) * fy * (one + slant * slant)
-            at = np.sqrt(min(max(sines[row, column], np.float32(0)), one)) * last_angle
+            at = np.sqrt(min(max(np.float32(0), sines[row, column]), one)) * last_angle
             k = min(int(at), tables.shape[1] - 2)
             part = at - np.float32(k)
             # A film is smooth: every other row and column, which `_fill_films` interpolates.
@@ -331,7 +331,7 @@ def _blur_rows(light, sines, shares, slopes, fx, blurred):
     height, width = sines.shape
     for row in numba.prange(height):
         for column in range(width):
-            at = np.sqrt(min(max(sines[row, column], np.float32(0)), np.float32(1))) * np.float32(slopes.shape[1] - 1)
+            at = np.sqrt(min(max(np.float32(0), sines[row, column]), np.float32(1))) * np.float32(slopes.shape[1] - 1)
             for water in range(2):
                 across = np.float32(2) * slopes[water, int(at)] * sines[row, column] * fx * shares[row, column]
                 reach = 2 if across > np.float32(0.4) else 0
@@ -358,7 +358,7 @@ def _weigh(film, light, first_row, across, along, image):
     one = np.float32(1)
     for row in numba.prange(height):
         y = along * (np.float32(row) + np.float32(0.5)) - np.float32(0.5 + first_row)
-        y = min(max(y, np.float32(0)), np.float32(rows - 1))
+        y = min(max(np.float32(0), y), np.float32(rows - 1))
         top = min(int(y), max(rows - 2, 0))
         v, bottom = y - np.float32(top), min(top + 1, rows - 1)
         for column in range(width):
@@ -368,7 +368,7 @@ def _weigh(film, light, first_row, across, along, image):
                     image[row, column, c] = 0
                 continue
             x = across * (np.float32(column) + np.float32(0.5)) - np.float32(0.5)
-            x = min(max(x, np.float32(0)), np.float32(columns - 1))
+            x = min(max(np.float32(0), x), np.float32(columns - 1))
             left = min(int(x), max(columns - 2, 0))
             u, right = x - np.float32(left), min(left + 1, columns - 1)
             red = green = blue = np.float32(0)
@@ -392,8 +392,8 @@ def _light_at(light, x, y, water, share):
     """Share of the light at a place of the mirror, linear between pixels."""
     rows, columns = light.shape[:2]
     one = np.float32(1)
-    y = min(max(y, np.float32(0)), np.float32(rows - 1))
-    x = min(max(x, np.float32(0)), np.float32(columns - 1))
+    y = min(max(np.float32(0), y), np.float32(rows - 1))
+    x = min(max(np.float32(0), x), np.float32(columns - 1))
     top, left = min(int(y), max(rows - 2, 0)), min(int(x), max(columns - 2, 0))
     v, u = y - np.float32(top), x - np.float32(left)
     bottom, right = min(top + 1, rows - 1), min(left + 1, columns - 1)
@@ -484,7 +484,7 @@ def _weigh_rings(
                 fade *= fade * (np.float32(3) - two * fade)
                 way = two * ways[near_row, near_column] * fade
                 lower, aside_x = y + tilt * way * fy * (one + v * v), x + aside * way * fx * sine
-                bounded = min(max(lower, np.float32(0)), np.float32(rows - 1))
+                bounded = min(max(np.float32(0), lower), np.float32(rows - 1))
                 upper_row = min(int(bounded), max(rows - 2, 0))
                 upper, lower_row = sines[upper_row, near_column], min(upper_row + 1, rows - 1)
                 there = upper + (bounded - np.float32(upper_row)) * (sines[lower_row, near_column] - upper)
@@ -524,7 +524,7 @@ def _add_lamps(light, sines, distances, depth, to_world, intrinsics, lamps, slop
                 continue
             x, y = (column + 0.5 - cx) / fx, (row + 0.5 - cy) / fy
             scale = 1 / np.sqrt(x * x + y * y + 1)
-            angle = int(np.sqrt(min(sine, 1.0)) * (slopes.shape[1] - 1))
+            angle = int(np.sqrt(min(1.0, sine)) * (slopes.shape[1] - 1))
             away = np.float64(distances[row, column])
             dx = (to_world[0, 0] * x + to_world[0, 1] * y + to_world[0, 2]) * scale
             dy = (to_world[1, 0] * x + to_world[1, 1] * y + to_world[1, 2]) * scale
@@ -581,11 +581,11 @@ def _open_share(depth, row, column, z, lamp, ground_m, to_world, intrinsics):
         return 1.0
     lamp_x = fx / lamp_z * (to_world[0, 0] * x + to_world[1, 0] * y + to_world[2, 0] * height) + cx - 0.5 - column
     lamp_y = fy / lamp_z * (to_world[0, 1] * x + to_world[1, 1] * y + to_world[2, 1] * height) + cy - 0.5 - row
-    side = max(fx * _LAMP_M / lamp_z, 0.5)
+    side = max(0.5, fx * _LAMP_M / lamp_z)
     found = 0.0
     for k in range(-1, 2):
         across = lamp_x + k * side
-        steps = min(int(max(abs(across), abs(lamp_y)) / 2) + 1, _SHADOW_STEPS)  # of two pixels
+        steps = min(_SHADOW_STEPS, int(max(abs(across), abs(lamp_y)) / 2) + 1)  # of two pixels
         is_open = True
         for step in range(1, steps + 1):
             share = step / steps

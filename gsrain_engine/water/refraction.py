@@ -389,16 +389,16 @@ def _boxes(drops, view, axes, rows, columns, focal, levels):
             y = ((axes[3, 1] + u * axes[0, 1] + v * axes[1, 1]) / z * fy + cy) / cell + margin
             low_x, high_x, low_y, high_y = min(low_x, x), max(high_x, x), min(low_y, y), max(high_y, y)
         # A cell's center is half a cell from its corner.
-        boxes[k, 0] = np.int64(max(np.floor(low_y - 0.5), 0.0))
+        boxes[k, 0] = np.int64(max(0.0, np.floor(low_y - 0.5)))
         boxes[k, 1] = np.int64(min(np.ceil(high_y - 0.5), rows - 1.0))
-        boxes[k, 2] = np.int64(max(np.floor(low_x - 0.5), 0.0))
+        boxes[k, 2] = np.int64(max(0.0, np.floor(low_x - 0.5)))
         boxes[k, 3] = np.int64(min(np.ceil(high_x - 0.5), columns - 1.0))
         if boxes[k, 2] > boxes[k, 3] or boxes[k, 0] > boxes[k, 1]:
             boxes[k, 1] = boxes[k, 0] - 1
             continue
         cells = max(np.sqrt(max(high_x - low_x, 0.0) * max(high_y - low_y, 0.0)) / 2.6, 0.05)
         outlines[k, 0], outlines[k, 1:4] = cells, _outline(drops[k])
-        outlines[k, 4] = min(np.int64(np.log2(max(_SPREAD * focal / cells, 1.0)) + 0.5), levels - 1)
+        outlines[k, 4] = min(np.floor(np.log2(max(1.0, _SPREAD * focal / cells)) + 0.5), levels - 1.0)
     return boxes, outlines
 
 
@@ -425,8 +425,8 @@ def _look_up(levels, starts, level, x, y, found):
     """Bilinear color of a level at a place in texels of the first one; the border goes on outside."""
     first, width, height = starts[level]
     scale_x, scale_y = width / starts[0, 1], height / starts[0, 2]
-    x = min(max(x * scale_x - 0.5, 0.0), width - 1.0)
-    y = min(max(y * scale_y - 0.5, 0.0), height - 1.0)
+    x = min(max(0.0, x * scale_x - 0.5), width - 1.0)
+    y = min(max(0.0, y * scale_y - 0.5), height - 1.0)
     column, row = min(int(x), width - 2), min(int(y), height - 2)
     right, below = x - column, y - row
     at = first + row * width + column
@@ -644,7 +644,7 @@ def _blurred(layer, radii):
         sums[row, width:] = total
     flat, flat_made = layer.reshape(rows, width), made.reshape(rows, width)
     for row in numba.prange(rows):
-        radius = max(radii[row], 0.5)
+        radius = max(0.5, radii[row])
         reach = int(np.ceil(radius))
         area = 0.0
         for part in range(2):  # the area of the disk, then the sums over its rows
@@ -654,7 +654,7 @@ def _blurred(layer, radii):
                 if top <= bottom:
                     continue
                 middle = 0.5 * (top + bottom)
-                half = np.sqrt(max(radius * radius - middle * middle, 0.0))
+                half = np.sqrt(max(0.0, radius * radius - middle * middle))
                 if part == 0:
                     area += 2.0 * half * (top - bottom)
                     continue

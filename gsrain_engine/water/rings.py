@@ -303,11 +303,12 @@ def ring_slope(x, y, along_x, along_y, along_m, across_m, corner, starts, member
     `along_m` and `across_m` are its standard deviations. The arguments after them are the fields of a `RingField`.
     """
     px, py = np.float32(x - corner[0]), np.float32(y - corner[1])
-    column, row = int(px * _PER_CELL), int(py * _PER_CELL)
+    x_cells, y_cells = px * _PER_CELL, py * _PER_CELL
     one = np.float32(1)
     along = across = np.float32(0)
-    if px < 0 or py < 0 or row >= starts.shape[0] or column >= starts.shape[1]:
+    if not (0 <= x_cells < starts.shape[1] and 0 <= y_cells < starts.shape[0]):  # also NaN
         return along, across
+    column, row = int(x_cells), int(y_cells)
     # (1 - t / 8)^8 stands for exp(-t)
     narrow, wide = _EIGHTH * across_m * across_m, _EIGHTH * along_m * along_m
     for k in range(starts[row, column, 0], starts[row, column, 1]):

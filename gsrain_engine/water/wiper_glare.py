@@ -228,8 +228,8 @@ def _fill_taps(rows, columns, pivot, step, taps):
         for column in range(columns):
             dx, dy = _direction(column + 0.5, row + 0.5, pivot)
             for k in range(-_TAPS, _TAPS + 1):
-                x = min(max(column + k * step * dx, 0.0), columns - 1.0)
-                y = min(max(row + k * step * dy, 0.0), rows - 1.0)
+                x = min(max(0.0, column + k * step * dx), columns - 1.0)
+                y = min(max(0.0, row + k * step * dy), rows - 1.0)
                 taps[row * columns + column, k + _TAPS] = int(y + 0.5) * columns + int(x + 0.5)
 
 
@@ -251,11 +251,11 @@ def _smear(light, taps, weights, made):
 def _add_streaks(layer, streaks, places, cell, margin, low, film_share, film_cell):
     last_row, last_column = streaks.shape[0] - 1, streaks.shape[1] - 1
     for row in numba.prange(layer.shape[0]):
-        at_y = min(max((row + 0.5 - margin) * cell / SHRINK - 0.5, 0.0), last_row - 1e-3)
+        at_y = min(max(0.0, (row + 0.5 - margin) * cell / SHRINK - 0.5), last_row - 1e-3)
         i = int(at_y)
         below = np.float32(at_y - i)
         for column in range(layer.shape[1]):
-            at_x = min(max((column + 0.5 - margin) * cell / SHRINK - 0.5, 0.0), last_column - 1e-3)
+            at_x = min(max(0.0, (column + 0.5 - margin) * cell / SHRINK - 0.5), last_column - 1e-3)
             j = int(at_x)
             brightest = np.float32(0)
             for channel in range(3):

@@ -149,7 +149,8 @@ serve --port 70000 | --port
 serve --sessions 0 | --sessions
 serve --protocol carla | --protocol
 serve --protocol browser --host 0.0.0.0 | ssh -L 8080:localhost:8080
-serve --protocol browser --token x | --token
+serve --protocol browser --token pässword | --token
+serve --token pässword | --token
 serve street street --protocol browser | one scene
 """
 """Command line, and a part of the error: an option, a file or a field, seldom more."""

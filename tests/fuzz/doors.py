@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from http.client import HTTPConnection
+from importlib import import_module
 from random import Random
 from typing import Any
 from urllib.parse import urlsplit
@@ -33,7 +34,7 @@ REFUSALS = {
 }  # fmt: skip
 """Statuses that a hostile call may end with; others, such as INTERNAL and UNAVAILABLE, are findings."""
 TOKEN = "a-token"
-_PATIENCE_S = 5.0
+_PATIENCE_S, _COMPILING_S = 5.0, 600.0
 _CHECKED_EVERY = 100
 _HANGING = 20  # connections that a hostile client leaves open at a time
 
@@ -41,8 +42,8 @@ _HANGING = 20  # connections that a hostile client leaves open at a time
 class Attack:
     """A hostile client and a sound one of an open door."""
 
-    def send(self, chance: Random) -> None:
-        """Send one hostile message. Raises `AssertionError` if it is answered as none should be."""
+    def send(self, chance: Random) -> int:
+        """Send hostile messages; returns their number. Raises `AssertionError` if one is answered as none should be."""
         raise NotImplementedError
 
     def check_others(self) -> None:
@@ -88,24 +89,26 @@ class _Calls(Attack):
 
     def __init__(self, address: str) -> None:
         self._address = address
-        self._channel = self._connected()
-        self._sound = self._connected()
+        self._channel = self.connected()
+        self._sound = self.connected()
         self._expected: bytes | None = None
         self._hanging: list[socket.socket] = []
 
-    def _connected(self) -> Any:
+    def connected(self) -> Any:
         import grpc
 
         options = [("grpc.use_local_subchannel_pool", 1), ("grpc.max_receive_message_length", -1)]
         return grpc.insecure_channel(self._address, options)
 
-    def call(self, channel: Any, method: str, data: bytes, token: str = TOKEN) -> tuple[str, bytes]:
+    def call(
+        self, channel: Any, method: str, data: bytes, token: str = TOKEN, patience_s: float = _PATIENCE_S
+    ) -> tuple[str, bytes]:
         """Status and answer of a call."""
         import grpc
 
         metadata = [("authorization", f"Bearer {token}")]
         try:
-            return "OK", channel.unary_unary(f"/{method}")(data, metadata=metadata, timeout=_PATIENCE_S)
+            return "OK", channel.unary_unary(f"/{method}")(data, metadata=metadata, timeout=patience_s)
         except grpc.RpcError as error:
             assert len(error.details() or "") < 400 and "Traceback" not in (error.details() or ""), error.details()
             return error.code().name, b""
@@ -118,14 +121,14 @@ class _Calls(Attack):
         """Answer to a sound client."""
         raise NotImplementedError
 
-    def send(self, chance: Random) -> None:
+    def send(self, chance: Random) -> int:
         kind = chance.random()
         if kind < 0.03:
             self._hang(chance)
-            return
+            return 1
         if kind < 0.06:
             self._channel.close()
-            self._channel = self._connected()
+            self._channel = self.connected()
         method, sent = self.hostile(chance)
         if chance.random() < 0.7:
             damage_message(sent, chance)
@@ -136,6 +139,7 @@ class _Calls(Attack):
             data += bytes(70 << 20)
         status, _ = self.call(self._channel, method, data, TOKEN if chance.random() < 0.95 else "another")
         assert status in REFUSALS | {"OK"}, f"{method} ends with {status}: {data[:2000].hex()}"
+        return 1
 
     def _hang(self, chance: Random) -> None:
         """Begin to send something, and leave it so."""
@@ -199,7 +203,8 @@ class _AlpaSim(_Calls):
         return f"{SERVICE}/{name}", request
 
     def sound(self, channel: Any) -> bytes:
-        return self.call(channel, f"{SERVICE}/render_rgb", self._picture.SerializeToString())[1]
+        data = self._picture.SerializeToString()
+        return self.call(channel, f"{SERVICE}/render_rgb", data, patience_s=_COMPILING_S)[1]
 
 
 class _Carla(_Calls):
@@ -219,8 +224,8 @@ class _Carla(_Calls):
             status, _ = self.call(channel, f"{carla_service.SERVICE}/{name}", sent.SerializeToString())
             assert status in ("OK", "RESOURCE_EXHAUSTED"), status
 
-    def _connected(self) -> Any:
-        channel = super()._connected()
+    def connected(self) -> Any:
+        channel = super().connected()
         self._load(channel)
         return channel
 
@@ -273,7 +278,9 @@ class _Carla(_Calls):
         self._frames += 1
         sent = self._frame(self._frames)
         del sent.sensors[1:]
-        _, data = self.call(channel, f"{carla_service.SERVICE}/Render", sent.SerializeToString())
+        _, data = self.call(
+            channel, f"{carla_service.SERVICE}/Render", sent.SerializeToString(), patience_s=_COMPILING_S
+        )
         return self._pb.RenderResponse.FromString(data).measurements[0].image.raw_data if data else b""
 
 
@@ -355,20 +362,20 @@ class _Page(Attack):
         self._cameras, self._shown = [camera, gr.home_camera(small_scene(), (32, 48))], 0
         assert self._sound.shows(gr.render(small_scene(), gr.Rain(3), camera, backend="cpu").rgb.astype(int))
 
-    def send(self, chance: Random) -> None:
+    def send(self, chance: Random) -> int:
         from websockets.exceptions import WebSocketException
 
         from python_api.test_browser import connected
 
+        count = chance.choice((1, 1, 1, 30))
         with suppress(WebSocketException, OSError, EOFError, TimeoutError), connected(self._url) as connection:
-            for _ in range(chance.choice((1, 1, 1, 30))):
+            for _ in range(count):
                 connection.send(self._hostile(chance))
             if chance.random() < 0.3:
                 connection.recv(0.01)
+        return count
 
     def _hostile(self, chance: Random) -> bytes | str:
-        import viser
-
         pose = {"wxyz": [1.0, 0, 0, 0], "position": [0.0, 0, 2], "look_at": [1.0, 0, 2], "up_direction": [0.0, 0, 1],
                 "fov": 1.0, "near": 0.01, "far": 100.0, "image_height": 32, "image_width": 48}  # fmt: skip
         control = chance.choice([*self._sound.controls.values(), "none"])
@@ -386,7 +393,7 @@ class _Page(Attack):
             name = chance.choice(("value", "value", "value", "update_cb", "removed", "uuid", "gui_api"))
             sent = {"type": "GuiUpdateMessage", "uuid": control, "updates": {name: value}}
         else:
-            names = [each.__name__ for each in viser._messages.Message.get_subclasses()]
+            names = [each.__name__ for each in import_module("viser._messages").Message.get_subclasses()]
             sent = {"type": chance.choice((*names, "x")), "uuid": control, "source_component_uuid": control}
             sent |= {"transfer_uuid": "t", "filename": "f", "mime_type": "", "part_count": 0, "size_bytes": 1 << 40}
         data = msgspec.msgpack.encode(sent)
@@ -413,7 +420,7 @@ class _Requests(Attack):
         self._url = urlsplit(url)
         self._hanging: list[socket.socket] = []
 
-    def send(self, chance: Random) -> None:
+    def send(self, chance: Random) -> int:
         host = f"localhost:{self._url.port}"
         path = chance.choice(
             (self._url.path, "/", "/x", "/..", f"{self._url.path}/../..", f"{self._url.path}/%00", "/" + "a" * 9000)
@@ -433,6 +440,7 @@ class _Requests(Attack):
         self._hanging.append(plug)
         while len(self._hanging) > _HANGING:
             self._hanging.pop(0).close()
+        return 1
 
     def check_others(self) -> None:
         connection = HTTPConnection("localhost", self._url.port, timeout=60)
@@ -476,18 +484,20 @@ def campaign(name: str, messages: int, seed: int) -> tuple[int, str | None]:
         attack.check_others()
         process = psutil.Process(server.pid)
         before = process.memory_info().rss
-        for number in range(messages):
+        sent = checked = 0
+        while sent < messages:
             try:
-                attack.send(Random(seed + number))
-                if number % _CHECKED_EVERY == _CHECKED_EVERY - 1:
+                sent += attack.send(Random(seed + sent))
+                if sent >= checked + _CHECKED_EVERY:
                     attack.check_others()
+                    checked = sent
             except Exception as error:
-                return growth, f"message {number}: {type(error).__name__}: {error}"
+                return growth, f"message {sent}: {type(error).__name__}: {error}"
             if server.exitcode is not None:
-                return growth, f"message {number}: the server has ended, exit code {server.exitcode}"
+                return growth, f"message {sent}: the server has ended, exit code {server.exitcode}"
             growth = max(growth, process.memory_info().rss - before)
             if growth > door.limit_bytes:
-                return growth, f"message {number}: the server has grown by {growth >> 20} MB"
+                return growth, f"message {sent}: the server has grown by {growth >> 20} MB"
         attack.close()
     finally:
         server.kill()

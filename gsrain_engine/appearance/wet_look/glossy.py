@@ -145,8 +145,8 @@ def _integrate(points, normals, slopes, eye, pose, lens, depth, values, table, f
 @no_type_check
 def _looked_up(values, table, x, y, down_px, across_px):
     """Color at a position, averaged over a number of pixels down and across."""
-    i = min(max(np.log2(max(down_px, 1.0)), 0.0), table.shape[0] - 1.001)
-    j = min(max(np.log2(max(across_px, 1.0)), 0.0), table.shape[1] - 1.001)
+    i = min(max(0.0, np.log2(max(down_px, 1.0))), table.shape[0] - 1.001)
+    j = min(max(0.0, np.log2(max(across_px, 1.0))), table.shape[1] - 1.001)
     i0, j0 = int(i), int(j)
     red = green = blue = 0.0
     for di in range(2):
@@ -156,8 +156,8 @@ def _looked_up(values, table, x, y, down_px, across_px):
             if share < 1e-3:
                 continue
             start, rows, columns = table[i0 + di, j0 + dj, 0], table[i0 + di, j0 + dj, 1], table[i0 + di, j0 + dj, 2]
-            sx = min(max(x * columns / table[0, 0, 2] - 0.5, 0.0), columns - 1.0)
-            sy = min(max(y * rows / table[0, 0, 1] - 0.5, 0.0), rows - 1.0)
+            sx = min(max(0.0, x * columns / table[0, 0, 2] - 0.5), columns - 1.0)
+            sy = min(max(0.0, y * rows / table[0, 0, 1] - 0.5), rows - 1.0)
             x0, y0 = min(int(sx), max(columns - 2, 0)), min(int(sy), max(rows - 2, 0))
             fx, fy = share * (sx - x0), sy - y0
             right, under = (3 if columns > 1 else 0), (3 * columns if rows > 1 else 0)

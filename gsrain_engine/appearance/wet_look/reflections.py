@@ -143,9 +143,9 @@ def _follow(solid, is_sky, pose, eye_lens, mirror_pose, mirror_lens, normal, off
                     break
                 pu = (a[0] + way * b[0]) / z * eye_lens[0] + eye_lens[2]
                 pv = (a[1] + way * b[1]) / z * eye_lens[1] + eye_lens[3]
-                if pu < 0 or pv < 0 or pu >= columns or pv >= rows:
+                if not (0 <= pu < columns and 0 <= pv < rows):  # also NaN
                     is_out = True
-                    last_u, last_v = min(max(pu, 0.5), columns - 0.5), min(max(pv, 0.5), rows - 0.5)
+                    last_u, last_v = min(max(0.5, pu), columns - 0.5), min(max(0.5, pv), rows - 0.5)
                     break
                 last_u, last_v = pu, pv
                 behind = z - solid[int(pv), int(pu)]
@@ -160,7 +160,7 @@ def _follow(solid, is_sky, pose, eye_lens, mirror_pose, mirror_lens, normal, off
                     z = a[2] + middle * b[2]
                     mu = (a[0] + middle * b[0]) / z * eye_lens[0] + eye_lens[2]
                     mv = (a[1] + middle * b[1]) / z * eye_lens[1] + eye_lens[3]
-                    mu, mv = min(max(mu, 0.0), columns - 1.0), min(max(mv, 0.0), rows - 1.0)
+                    mu, mv = min(max(0.0, mu), columns - 1.0), min(max(0.0, mv), rows - 1.0)
                     if z > solid[int(mv), int(mu)]:
                         high = middle
                     else:

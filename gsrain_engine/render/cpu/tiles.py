@@ -160,8 +160,8 @@ def _bits_of_column(ellipse, box, column, rows):
     highest = top if is_exact else max(highest, top)
     lowest = bottom if is_exact else min(lowest, bottom)
     count = lowest - highest if column < right else 0.0
-    above = np.int32(min(max(highest - top, 0.0), np.float64(_SIDE)))
-    ones = (np.uint64(1) << np.uint64(np.int32(min(max(count, 0.0), np.float64(_SIDE))))) - np.uint64(1)
+    above = np.int32(min(max(0.0, highest - top), np.float64(_SIDE)))
+    ones = (np.uint64(1) << np.uint64(np.int32(min(max(0.0, count), np.float64(_SIDE))))) - np.uint64(1)
     return ones << np.uint64(above)
 
 
@@ -207,7 +207,7 @@ def _tiles_between(low, high, count):
     """First and past-the-last of `count` tiles with a pixel center in [low, high] px, clamped before it becomes int."""
     first = np.ceil((low - (TILE - 0.5) - _SLACK_PX) / TILE)
     last = np.floor((high - 0.5 + _SLACK_PX) / TILE)
-    return min(max(first, 0.0), np.float64(count)), min(max(last + 1, 0.0), np.float64(count))
+    return min(max(0.0, first), np.float64(count)), min(max(0.0, last + 1), np.float64(count))
 
 
 @numba.njit(forceinline=True, error_model="numpy")
@@ -432,7 +432,7 @@ def is_finished(state):
 def columns_of(shape, x):
     """First and past-the-last column of a tile that a splat reaches; x is the center of the tile's first pixel."""
     low, high = _reached(shape[0], shape[7], x)
-    return int(max(low, np.float32(0))), int(min(high, np.float32(TILE - 1))) + 1
+    return int(max(np.float32(0), low)), int(min(np.float32(TILE - 1), high)) + 1
 
 
 @numba.njit(forceinline=True, error_model="numpy", fastmath=FAST)

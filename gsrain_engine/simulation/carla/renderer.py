@@ -168,7 +168,7 @@ class CanvasRenderer:
 
     def _moving(self, time_s: float, pose: Pose, state: Any) -> Moment:
         velocity = np.zeros(3) if state is None else np.array(state.velocity, np.float64) * (1, -1, 1)
-        if not np.isfinite(velocity).all() or np.linalg.norm(velocity) > _FASTEST_M_S:
+        if not (np.abs(velocity) <= _FASTEST_M_S).all() or np.linalg.norm(velocity) > _FASTEST_M_S:
             velocity = np.zeros(3)
         before = pose.copy()
         before[:3, 3] -= _STEP_S * (self._to_scene[:3, :3] @ velocity)

@@ -58,7 +58,8 @@ class CanvasServer(RenderServer):
 
     def services(self) -> dict[str, dict[str, tuple[Any, Method]]]:
         messages = import_module("carla_canvas.v1.renderer_pb2")
-        self._worlds: dict[str, Any] = {}
+        self.worlds: dict[str, Any] = {}
+        """Worlds of programs by gRPC's name of their connection."""
         self._adding = threading.Lock()
         return {SERVICE: {name: (getattr(messages, f"{name}Request"), self._method(name)) for name in _CALLS}}
 
@@ -101,24 +102,24 @@ class CanvasServer(RenderServer):
         still connected.
         """
         with self._adding:
-            world = self._worlds.get(client)
+            world = self.worlds.get(client)
             if world is None:
                 renderer: Any = CanvasRenderer(self.simulator, self.version)
                 world = import_module("carla_canvas.server.service").RendererService(renderer)
                 if is_new:
                     self._make_room()
-                    self._worlds[client] = world
+                    self.worlds[client] = world
             return world
 
     def _make_room(self) -> None:
         """Forget the worlds of programs that are gone."""
-        if len(self._worlds) < self.sessions:
+        if len(self.worlds) < self.sessions:
             return
         connected = _connected()
-        for client in [*self._worlds]:
+        for client in [*self.worlds]:
             if _address(client) not in connected:
-                del self._worlds[client]
-        if len(self._worlds) >= self.sessions:
+                del self.worlds[client]
+        if len(self.worlds) >= self.sessions:
             told = f"at most {self.sessions} programs have a world at a time (--sessions)"
             raise RequestError("RESOURCE_EXHAUSTED", told)
 

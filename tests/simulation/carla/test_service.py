@@ -268,7 +268,7 @@ def test_a_program_remembers_no_more_than_it_may(server: CanvasServer) -> None:
     assert status_of(partial(program.stub.Render, many_parents(program))) == "INVALID_ARGUMENT"
     third = program.request()
     program.stub.Render(third)
-    (world,) = [each for each in server._worlds.values() if len(each.sensors) > 15]
+    (world,) = [each for each in server.worlds.values() if len(each.sensors) > 15]
     assert len(world.scene.states) < 100
 
 
