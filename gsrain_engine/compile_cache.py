@@ -21,7 +21,7 @@ _SOURCES = _HERE / "render" / "cpu", _HERE / "render" / "autodiff", _HERE / "rai
 FRAME_SOURCES = *_SOURCES, _HERE / "scene"  # folders of all kernels of a frame
 _CACHED_VERSIONS = 2
 _UNUSED_S = 3600.0  # age after which an unused folder may be removed; a process that still uses it only compiles again
-KERNELS = 102  # of all pictures, as a first start compiles them; some effects have a few more
+KERNELS = 107  # of all pictures, as a first start compiles them; some effects have a few more
 ROOM_BYTES = 32 << 20  # free space to require; the kernels take a fifth of it
 
 

@@ -198,7 +198,7 @@ def test_a_kernel_that_no_picture_needs_is_reported_by_its_module(tmp_path, monk
     assert "gsrain_engine.evaluation.lidar" in caplog.text
 
 
-def compiled() -> set[tuple[str, str]]:
+def kernel_signatures() -> set[tuple[str, str]]:
     """Names and argument types of the kernels that this process has compiled or loaded."""
     from numba.core.dispatcher import Dispatcher
 
@@ -223,7 +223,7 @@ def draw_lamps_behind_a_windshield() -> set[tuple[str, str]]:
     from night_scene import INTENSITY_M2, LANTERN_M, night_scene
 
     compile_kernels()
-    before = compiled()
+    before = kernel_signatures()
     water = GroundWater((-12.0, -12.0), 1.0, np.frombuffer(bytes([255]) * 24 * 24 * 2, np.uint8).reshape(24, 24, 2))
     scene = replace(night_scene(), water=water, lamps=(Lamp(position=tuple(LANTERN_M), intensity_m2=INTENSITY_M2),))
     pose = look_at(np.array([0.0, -8.0, 1.5]), np.array([0.0, 9.0, 2.0]), np.array([0.0, 0.0, 1.0]))
@@ -233,7 +233,7 @@ def draw_lamps_behind_a_windshield() -> set[tuple[str, str]]:
     for still in (None, StillScene()):
         draw_view(renderer, scene, rainfall, OVERCAST, view, still=still)
     glass.picture(renderer.read_uint8())
-    return compiled() - before
+    return kernel_signatures() - before
 
 
 def test_all_kernels_of_a_window_are_prepared_at_once():
