@@ -9,7 +9,7 @@ import pytest
 
 from given_rain import STILL
 from gsrain_engine.datasets.rainsense import RainSequence
-from gsrain_engine.evaluation.camera_noise import CameraNoise, fitted_sensor
+from gsrain_engine.evaluation.camera_noise import CHROMA_LAGS, LUMA_LAGS, CameraNoise, fitted_sensor, noise_statistics
 from gsrain_engine.evaluation.drop_light import drop_rays, light_before
 from gsrain_engine.evaluation.photograph import cropped_camera, photographed, rain_over, render_rain_frames
 from gsrain_engine.evaluation.rain_free import below_black, rain_free_frames
@@ -181,6 +181,16 @@ def test_the_sensor_of_a_cameras_noise_is_found(monkeypatch):
     found = fitted_sensor(noise, other, 1280, lambda: trials.append(1), 40)
     assert len(trials) <= 44
     assert noise.difference(found, 1280) < 0.4 * noise.difference(other, 1280)
+
+
+def test_noise_is_correlated_between_pixels_of_the_class_alone():
+    pixels = np.zeros((30, 40), bool)
+    pixels[8:20, 9:33] = True
+    residuals = np.where(pixels, 2.0, -3.0)[None, ..., None].repeat(3, axis=0).repeat(3, axis=3).astype(np.float32)
+    deviations = np.full(3, np.log(2.0))
+    correlations = np.ones(len(LUMA_LAGS)), np.ones(len(CHROMA_LAGS))
+    expected = np.concatenate([deviations[:1], correlations[0], deviations[1:], correlations[1]])
+    np.testing.assert_allclose(noise_statistics(residuals, pixels), expected, atol=1e-5)
 
 
 def test_slow_light_leaves_streaks_out():

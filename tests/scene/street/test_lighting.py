@@ -123,6 +123,26 @@ def test_a_wall_sees_more_sky_above(surfaces):
     assert 0.2 < share[0] < share[1] - 0.1 < share[2] - 0.2
 
 
+def test_the_light_between_houses_is_that_of_a_long_canyon(surfaces):
+    """Level ground has the mean cosine of both eaves, a wall what the eaves opposite leave, others a mixture."""
+    front, x, eaves = surfaces.layout.parameters.front_y_m, 40.0, 13.0
+    y, z = 0.5 * front, 3.0
+    level = 0.5 * sum(np.cos(np.arctan2(eaves - z, away)) for away in (front - y, front + y))
+    to_left, to_right = (1 - np.sin(np.arctan2(eaves - z, away)) for away in (front - y, front + y))
+    half = np.sqrt(0.5)
+    rows = [
+        ((x, y, z), (0, 0, 1), level),
+        ((x, y, z), (0, 1, 0), to_left),
+        ((x, y, z), (0, -1, 0), to_right),
+        ((x, y, z), (0, half, half), (to_left + level) / 2),
+        ((x, y, eaves + 1), (0, 0, 1), 1),
+        ((surfaces.layout.parameters.end_x_m + 1, y, z), (0, 0, 1), 1),
+        ((x, front + 1, z), (0, 0, 1), 1),
+    ]
+    points, normals, expected = (np.array(column, np.float64) for column in zip(*rows, strict=True))
+    np.testing.assert_allclose(canyon_share(surfaces.layout, points, normals), expected, rtol=1e-9)
+
+
 def test_wet_materials_are_darker_and_stronger_in_color_and_paint_is_not(surfaces):
     for name, label in (("houses", Label.BUILDING), ("trees", Label.VEGETATION), ("road", Label.ROAD)):
         dry = surfaces.layers[name]
