@@ -18,7 +18,7 @@ from gsrain_engine.scene.rig import rig_camera
 from gsrain_engine.scene.street.build import quads_to_gaussians
 from gsrain_engine.scene.street.layout import Label
 from gsrain_engine.scene.street.lighting import canyon_share, overcast_share
-from gsrain_engine.scene.street.vegetation import overcast_luminance, overcast_sky_display
+from gsrain_engine.scene.street.vegetation import overcast_luminance, overcast_sky_display, sky_display
 from gsrain_engine.scene.street.wet_surfaces import puddles, reflecting, wet_materials
 from gsrain_engine.simulation.traffic.appearance import built_in_vehicle
 
@@ -105,6 +105,16 @@ def test_the_overcast_sky_is_gray_brighter_above_and_without_a_sun(surfaces):
     low, high = (colors[mask].mean() for mask in (directions[:, 2] < 0.1, directions[:, 2] > 0.8))
     assert 0.6 < low < high - 0.1 and high < 0.97
     assert 0.002 < colors[directions[:, 2] > 0.9].std() < 0.06  # clouds
+
+
+def test_clouds_of_a_clear_sky_are_white_at_their_edges_and_gray_in_their_middle(surfaces):
+    directions = np.random.default_rng(1).normal(size=(8000, 3))
+    directions[:, 2] = np.abs(directions[:, 2]) + 0.3
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    sun = surfaces.light().sun
+    colors = sky_display(directions, sun, 7)[directions @ sun < 0.3]
+    clouds = colors[colors[:, 2] - colors[:, 0] < 0.1].mean(axis=1)
+    assert len(clouds) > 100 and clouds.min() < 0.84 and clouds.max() > 0.87
 
 
 def test_nothing_under_clouds_has_a_sunny_side(surfaces):
