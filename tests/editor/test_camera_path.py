@@ -14,8 +14,9 @@ from small_scene import small_scene
 
 @pytest.fixture
 def editor():
-    """An editor of a scene with y down, whose unit is 25 cm."""
-    with closing(Editor(replace(small_scene(), metres_per_unit=0.25, up=(0.0, -1.0, 0.0)))) as opened:
+    """An editor of a scene with y down, whose unit is 25 cm and whose file has its origin elsewhere."""
+    scene = replace(small_scene(), metres_per_unit=0.25, up=(0.0, -1.0, 0.0), origin=(3000.0, -2000.0, 50.0))
+    with closing(Editor(scene)) as opened:
         opened.playback.clock.playing = False
         yield opened
 

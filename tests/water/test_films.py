@@ -9,7 +9,7 @@ from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.rain.wetness import water_depth_mm
 from gsrain_engine.scene.ground_water import GroundWater
-from gsrain_engine.water.films import DIP_MM, WaterFilms, drainage_mm_h, evaporation_mm_h
+from gsrain_engine.water.films import CATCHMENT, DIP_MM, WaterFilms, drainage_mm_h, evaporation_mm_h
 
 CELLS_M = 0.5
 
@@ -37,7 +37,7 @@ def test_what_falls_is_stored_or_drains_or_dries(dips):
     """Over a storm and the hours after it, from fluxes at 6,000 moments."""
     keys = ((0, 0.0), (600, 25.0), (1500, 40.0), (1800, 2.0), (3000, 0.4), (3600, 0.0), (36000, 0.0))
     of = films(*keys, water=ground(dips))
-    run_in = min(3.0, (1 - dips) / dips)
+    run_in = min(CATCHMENT, (1 - dips) / dips)
     times = np.unique(np.concatenate([np.linspace(0, 4000, 5000), np.linspace(4000, 40000, 1000)]))
     rows = []
     for t in times:
@@ -52,6 +52,15 @@ def test_what_falls_is_stored_or_drains_or_dries(dips):
     held = stored_mm(of, times[-1])
     assert fell > 10 and held > 0
     assert abs(fell - left - held) < 0.01 * fell
+
+
+@pytest.mark.parametrize(("dips", "run_in"), [(0.1, 3.0), (0.5, 1.0)])
+def test_dips_fill_with_rain_and_what_three_times_their_area_drains(dips, run_in):
+    of = films((0, 0.0), (1, 20.0), (7200, 20.0), water=ground(dips))
+    before, now, after = (of.at(t) for t in (119.0, 120.0, 121.0))
+    filling_mm_h = (after.dip_mm - before.dip_mm) / 2 * 3600
+    assert now.dip_mm < DIP_MM and drainage_mm_h(now.film_mm) > 1
+    assert filling_mm_h == pytest.approx(20 - evaporation_mm_h(20.0) + run_in * drainage_mm_h(now.film_mm), rel=0.02)
 
 
 def test_steady_rain_has_the_depth_of_the_wet_look_and_full_dips():
