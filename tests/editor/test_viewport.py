@@ -255,3 +255,12 @@ def test_at_first_nothing_but_a_selection_is_drawn_over_the_picture_and_no_page_
     assert (options.look, options.split, options.gain_ev, options.shrink) == ("splats", "off", 0, 1)
     assert (options.dialog, options.member, options.tool, options.lamp) == ("", "", "", -1)
     assert options.show_selection and not options.show_lamps and not options.follow_path
+
+
+def test_turning_upwards_shows_what_is_above_and_ends_before_the_zenith():
+    navigation = OrbitCamera(heading=0.3, pitch=-0.1)
+    navigation.turn(0.0, 0.4)
+    assert navigation.pitch == pytest.approx(0.3)
+    assert navigation.camera(WIDTH, HEIGHT).camera_to_world[2, 2] == pytest.approx(np.sin(0.3))
+    navigation.turn(0.0, 9.0)
+    assert 1.4 < navigation.pitch < np.pi / 2
