@@ -107,10 +107,10 @@ def test_a_standing_vehicle_looks_along_its_longer_level_side_however_tall_it_is
     values = json.loads(recording.read_text())
     for frame in values["frames"]:
         frame["dynamics"] = {CAR: box_to_scene(0.0).tolist()}
-    values["verts"][CAR] = [[x, y, 3 * z] for x, y, z in values["verts"][CAR]]
+    values["verts"][CAR] = [[x, y, 6 * z] for x, y, z in values["verts"][CAR]]
     recording.write_text(json.dumps(values))
     (car,) = load_scene(folder.path).actors
-    assert car.size_lwh == pytest.approx((LENGTH, WIDTH, 3 * HEIGHT))
+    assert car.size_lwh == pytest.approx((LENGTH, WIDTH, 6 * HEIGHT))
     np.testing.assert_allclose(np.abs(car.pose_at(0.25)[:3, 0]), [0, 0, 1], atol=1e-9)
 
 
