@@ -105,6 +105,8 @@ def test_report_and_unlabeled_pairs(real, reported, tmp_path, monkeypatch):
     assert len(key) == 6 and {each["real"] for each in key} <= {"left", "right"}
     with Image.open(pairs / key[0]["picture"]) as picture:
         assert picture.size == (212, 80)
+        pixels = np.asarray(picture.convert("RGB"))
+    assert not np.array_equal(pixels[:, :100], pixels[:, 112:]) and (pixels[:, 100:112] == 255).all()
 
 
 def test_the_sensor_is_fitted_to_frames_without_rain(real, tmp_path, capsys, monkeypatch):

@@ -14,8 +14,9 @@ from small_scene import small_scene
 
 @pytest.fixture
 def editor():
-    """An editor of a scene with y down, whose unit is 25 cm."""
-    with closing(Editor(replace(small_scene(), metres_per_unit=0.25, up=(0.0, -1.0, 0.0)))) as opened:
+    """An editor of a scene with y down, whose unit is 25 cm and whose file has its origin elsewhere."""
+    scene = replace(small_scene(), metres_per_unit=0.25, up=(0.0, -1.0, 0.0), origin=(3000.0, -2000.0, 50.0))
+    with closing(Editor(scene)) as opened:
         opened.playback.clock.playing = False
         yield opened
 
@@ -119,3 +120,23 @@ def test_exports_read_back_or_are_reported(editor, tmp_path, form):
     assert again.positions[[0, -1]] == pytest.approx(path.positions[[0, -1]], abs=1e-6)
     editor.camera_path.export_path(tmp_path / "out.json" / "out.json", form)  # a file is no folder
     assert str(tmp_path / "out.json") in editor.status.problem
+
+
+@pytest.mark.parametrize("upright", [False, True])
+def test_a_keyframe_follows_the_pointer_across_the_view(editor, upright):
+    four_keys(editor)
+    editor.viewport.navigation.position, editor.viewport.navigation.heading = np.array([1.0, -8.0, 2.5]), 0.3
+    editor.viewport.navigation.pitch = 0.0
+    shot, moved_px = editor.viewport.shot(96, 64), np.array([7.0, -5.0])
+    before = editor.viewport.path.positions
+    editor.camera_path.begin_drag(1, in_view=True)
+    editor.camera_path.drag_in_view(shot, tuple(moved_px), upright=upright)
+    editor.camera_path.end_drag()
+    after = editor.viewport.path.positions
+    (x0, y0, depth), (x1, y1, depth_after) = (
+        shot.camera.world_to_camera[:3, :3] @ path[1] + shot.camera.world_to_camera[:3, 3] for path in (before, after)
+    )
+    assert depth > 1 and depth_after == pytest.approx(depth)
+    pixels = shot.camera.fx * (x1 - x0) / depth, shot.camera.fy * (y1 - y0) / depth
+    assert pixels == pytest.approx(moved_px * ([0, 1] if upright else [1, 1]), abs=1e-6)
+    assert np.array_equal(np.delete(after, 1, axis=0), np.delete(before, 1, axis=0))

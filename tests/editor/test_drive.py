@@ -8,7 +8,9 @@ import pytest
 
 from gsrain_engine.editor.drive import EGO_CAR, RolloutInScene
 from gsrain_engine.editor.edits.members import set_visible
+from gsrain_engine.editor.jobs.drive import DriveSettings
 from gsrain_engine.editor.overlays_drive import planned_points_m, rollout_overlay
+from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.simulation.rollout_io import write_rollout
 from gsrain_engine.simulation.scenario import Scenario
@@ -20,6 +22,14 @@ UP = np.array([0.0, 0.0, 1.0])
 
 def world_position(scene, key, time_s):
     return (scene.scene_to_world @ scene.member(key).pose_at(time_s))[:3, 3]
+
+
+def test_a_drive_is_in_the_scenes_rain_or_another_or_the_papers_four():
+    present = RainSettings(intensity_mm_h=3.0, seed=7)
+    expected = {"as the scene": [3.0], "one intensity": [25.0], "paper's four": [0.0, 1.2, 8.5, 12.0]}
+    for rain, rates in expected.items():
+        found = DriveSettings(agent="constant-velocity", rain=rain, intensity_mm_h=25.0).rains(present)
+        assert [each.intensity_mm_h for each in found] == rates and {each.seed for each in found} == {7}
 
 
 @pytest.mark.parametrize(("start_s", "scale"), [(0.0, 1.0), (0.7, 0.25)])

@@ -1,5 +1,6 @@
 """The viewport camera near surfaces: pivot, framing from the selection to the scene, and obstacles."""
 
+import threading
 from contextlib import closing
 from dataclasses import replace
 
@@ -9,7 +10,7 @@ import pytest
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.edits.members import with_members
 from gsrain_engine.editor.viewport.camera import OrbitCamera
-from gsrain_engine.editor.viewport.obstacles import Obstacles
+from gsrain_engine.editor.viewport.obstacles import ObstacleFinder, Obstacles
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.scene import Scene
 from small_scene import small_scene
@@ -54,6 +55,22 @@ def test_the_frame_goes_from_the_selection_to_the_member_to_the_scene(editor):
     assert scene == pytest.approx(viewport.core.middle)
     viewport.frame_scene()
     assert viewport.navigation.target == pytest.approx(row, abs=1e-6)  # and again
+
+
+def test_obstacles_are_looked_for_while_the_window_goes_on(editor, monkeypatch):
+    is_drawn, find = threading.Event(), Obstacles.of
+
+    def slowly(*arguments):
+        assert is_drawn.wait(20), "the caller waits"
+        return find(*arguments)
+
+    monkeypatch.setattr(Obstacles, "of", slowly)
+    with closing(ObstacleFinder()) as finder:
+        scene, radius_m = editor.document.scene, editor.viewport.core.radius_m
+        assert finder.of(scene, radius_m) is None
+        is_drawn.set()
+        found = finder.of(scene, radius_m, wait=True)
+        assert found is not None and finder.of(scene, radius_m) is found
 
 
 def test_an_orbit_stops_at_a_wall_and_a_camera_inside_one_gets_out(editor):

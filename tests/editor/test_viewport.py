@@ -12,7 +12,14 @@ from gsrain_engine.editor.document import Document, DocumentState
 from gsrain_engine.editor.status import StatusBus
 from gsrain_engine.editor.timeline import Playback
 from gsrain_engine.editor.viewport.camera import OrbitCamera, find_scene_core, home_camera, is_in_view
-from gsrain_engine.editor.viewport.options import CUT_LEVELS, FULL_QUALITY, LEVELS, REFINED, AdaptiveQuality
+from gsrain_engine.editor.viewport.options import (
+    CUT_LEVELS,
+    FULL_QUALITY,
+    LEVELS,
+    REFINED,
+    AdaptiveQuality,
+    ViewOptions,
+)
 from gsrain_engine.editor.viewport.picking import pick, pick_point
 from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.rain.settings import RainSettings
@@ -241,3 +248,19 @@ def test_holds_the_target_where_any_level_can(by_gaussians, by_pixels, target, h
     late = [(cost(each), each.patience) for each in details[8:]]
     slow = sum(ms > 1.16 * max(patience * target, fastest) for ms, patience in late)
     assert slow <= 1 + len(late) // 40  # but for a try of the finer level now and then
+
+
+def test_at_first_nothing_but_a_selection_is_drawn_over_the_picture_and_no_page_is_open():
+    options = ViewOptions()
+    assert (options.look, options.split, options.gain_ev, options.shrink) == ("splats", "off", 0, 1)
+    assert (options.dialog, options.member, options.tool, options.lamp) == ("", "", "", -1)
+    assert options.show_selection and not options.show_lamps and not options.follow_path
+
+
+def test_turning_upwards_shows_what_is_above_and_ends_before_the_zenith():
+    navigation = OrbitCamera(heading=0.3, pitch=-0.1)
+    navigation.turn(0.0, 0.4)
+    assert navigation.pitch == pytest.approx(0.3)
+    assert navigation.camera(WIDTH, HEIGHT).camera_to_world[2, 2] == pytest.approx(np.sin(0.3))
+    navigation.turn(0.0, 9.0)
+    assert 1.4 < navigation.pitch < np.pi / 2

@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
+from gsrain_engine.evaluation import rain_gauge
 from gsrain_engine.evaluation.photograph import render_rain_frames
 from gsrain_engine.evaluation.rain_gauge import GaugedStreaks, light_residuals, measure_rain_rate
 from gsrain_engine.rain.calibration import load_calibration
@@ -45,6 +46,16 @@ def rain_frames(number, **rain):
 @pytest.fixture(scope="module")
 def frames():
     return rain_frames(12, intensity_mm_h=10.0, aperture_mm=3.0, focus_distance_m=1000.0)
+
+
+def test_open_areas_count_the_places_of_a_box():
+    usable = np.ones((40, 60), bool)
+    usable[10:18, 20:30] = False
+    areas = rain_gauge._OpenAreas(usable)
+    centers = np.stack(np.meshgrid(np.arange(60.0), np.arange(40.0)), axis=-1).reshape(-1, 2)
+    for half in ((1, 1), (3, 7), (8, 2), (30, 3)):
+        assert areas.area_px2(*half) == areas.are_open(centers, np.full((len(centers), 2), half, float)).sum()
+    assert areas.area_px2(3, 7) > 0 == areas.area_px2(30, 3)
 
 
 @pytest.mark.parametrize("rate", [10.0, 40.0])

@@ -9,7 +9,8 @@ import pytest
 
 from given_rain import STILL
 from gsrain_engine.datasets.rainsense import RainSequence
-from gsrain_engine.evaluation.camera_noise import CameraNoise, fitted_sensor
+from gsrain_engine.evaluation import rain_free
+from gsrain_engine.evaluation.camera_noise import CHROMA_LAGS, LUMA_LAGS, CameraNoise, fitted_sensor, noise_statistics
 from gsrain_engine.evaluation.drop_light import drop_rays, light_before
 from gsrain_engine.evaluation.photograph import cropped_camera, photographed, rain_over, render_rain_frames
 from gsrain_engine.evaluation.rain_free import below_black, rain_free_frames
@@ -183,6 +184,16 @@ def test_the_sensor_of_a_cameras_noise_is_found(monkeypatch):
     assert noise.difference(found, 1280) < 0.4 * noise.difference(other, 1280)
 
 
+def test_noise_is_correlated_between_pixels_of_the_class_alone():
+    pixels = np.zeros((30, 40), bool)
+    pixels[8:20, 9:33] = True
+    residuals = np.where(pixels, 2.0, -3.0)[None, ..., None].repeat(3, axis=0).repeat(3, axis=3).astype(np.float32)
+    deviations = np.full(3, np.log(2.0))
+    correlations = np.ones(len(LUMA_LAGS)), np.ones(len(CHROMA_LAGS))
+    expected = np.concatenate([deviations[:1], correlations[0], deviations[1:], correlations[1]])
+    np.testing.assert_allclose(noise_statistics(residuals, pixels), expected, atol=1e-5)
+
+
 def test_slow_light_leaves_streaks_out():
     values = np.zeros((1, 160, 240), np.float32)
     values[0] = np.linspace(-6, 6, 240)[None, :]
@@ -292,6 +303,17 @@ def test_streaks_are_replaced_and_noise_remains():
         streak = (slice(30, 70), slice(20 * k + 15, 20 * k + 18))
         assert levels[k][streak].mean() > 80 and made[k][streak].mean() == pytest.approx(60, abs=1)
     assert made.std() == pytest.approx(2.0, rel=0.1)
+
+
+def test_rain_is_marked_alike_at_a_third_of_the_scale(monkeypatch):
+    residual = np.random.default_rng(2).standard_normal((60, 80)).astype(np.float32)
+    larger, masks = np.kron(residual, np.ones((3, 3), np.float32)), []
+    for scale, values in ((1, residual), (3, larger)):
+        monkeypatch.setattr(rain_free, "_SCALES", (scale,))
+        masks.append(rain_free.rain_mask(values, np.ones_like(values)))
+    expected = np.kron(masks[0], np.ones((3, 3), bool))
+    assert 0.1 < expected.mean() < 0.9
+    assert not (masks[1] & ~expected).any() and masks[1].sum() > 0.7 * expected.sum()  # a margin is a pixel of either
 
 
 @pytest.mark.parametrize("below", [-1.0, -3.0, -6.0])

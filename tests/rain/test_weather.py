@@ -9,7 +9,13 @@ from hypothesis import strategies as st
 from gsrain_engine.disdrometer.open import read_disdrometer
 from gsrain_engine.disdrometer.rain_rates import keyframes_from_spectra
 from gsrain_engine.disdrometer.spectra import DisdrometerReading
-from gsrain_engine.rain.keyframes import RainKeyframe, RainKeyframes, keyframes_from_series, shower_keyframes
+from gsrain_engine.rain.keyframes import (
+    KeyframeCurve,
+    RainKeyframe,
+    RainKeyframes,
+    keyframes_from_series,
+    shower_keyframes,
+)
 from gsrain_engine.rain.settings import RainSettings
 from measured_rain import measured_rain
 
@@ -133,3 +139,11 @@ def test_records_without_time_or_rate_are_left_out():
     spectra.times[:] = np.datetime64("NaT")
     with pytest.raises(ValueError, match="time"):
         keyframes_from_spectra(DisdrometerReading(spectra=spectra))
+
+
+def test_integrals_of_a_curve_are_areas_under_its_lines():
+    curve = KeyframeCurve(np.array([2.0, 4.0, 8.0]), np.array([[3.0, 0.0], [5.0, 0.0], [1.0, 8.0]]))
+    areas = {0.0: (0, 0), 2.0: (6, 0), 3.0: (6 + 3.5, 0), 4.0: (14, 0), 6.0: (14 + 8, 4), 9.0: (14 + 12 + 1, 16 + 8)}
+    for time_s, area in areas.items():
+        assert curve.integral(time_s) == pytest.approx(area)
+    assert curve.integral(-2.0) == pytest.approx([-6, 0])

@@ -76,6 +76,11 @@ def test_rain_that_stops_slowly_is_remembered_from_its_turning_point():
     assert course.at(-5.0) == course.at(0.0) == pytest.approx(wetness(12))
 
 
+def test_drizzle_under_a_sky_that_is_half_closed_is_remembered_too():
+    course = WetnessCurve(curve((0, 0.4), (10, 0.4), (10.001, 0)), 20.0)
+    assert course.at(15.0) == pytest.approx(wetness(0.4) * np.exp(-5 / 20), rel=1e-3) and wetness(0.4) > 0.4
+
+
 def test_a_rainfall_knows_its_wetness():
     steady = RainSimulation.start(RainSettings(intensity_mm_h=8.5))
     assert steady.wetness_at(3.0) == wetness(8.5)

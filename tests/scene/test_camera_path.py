@@ -75,6 +75,15 @@ def test_turns_at_single_times_are_those_at_many(interpolation: str) -> None:
     np.testing.assert_allclose(single, path.turns(times), atol=1e-9)
 
 
+@pytest.mark.parametrize("interpolation", ["linear", "spline"])
+def test_single_turns_of_a_gentle_path_need_no_scipy(interpolation: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = path_of(interpolation=interpolation)
+    expected = path.turns(path.times_s)
+    monkeypatch.setattr(Rotation, "as_matrix", lambda _: pytest.fail("the slow way"))
+    single = [path.camera(time, 9, 6).camera_to_world[:3, :3] for time in path.times_s.tolist()]
+    np.testing.assert_allclose(single, expected, atol=1e-9)
+
+
 def test_lines_are_straight_and_so_is_the_last_stretch_of_their_loop() -> None:
     path = path_of(interpolation="linear")
     times = np.linspace(path.start_s, path.end_s, 23)

@@ -108,6 +108,14 @@ def test_nodes_have_the_moments_of_their_children_and_keep_the_integral_of_their
     assert kinds == {"matched", "spread"}
 
 
+def test_an_opaque_crowd_is_spread_by_no_more_than_five_times_its_covariance() -> None:
+    f, offsets = np.float32, 0.3 * np.array([[1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]])
+    turns = np.tile(f([1, 0, 0, 0]), (4, 1))
+    crowd = Gaussians(offsets.astype(f), np.ones((4, 3), f), turns, np.full(4, 0.99, f), np.zeros((4, 1, 3), f))
+    (merged,) = covariances(build_lod_tree(crowd).nodes)
+    np.testing.assert_allclose(merged, np.eye(3) + 5 * np.cov(offsets.T, bias=True), rtol=1e-3, atol=1e-4)
+
+
 def test_balls_hold_what_is_below_and_errors_grow_upwards() -> None:
     g = sample_gaussians(3000)
     tree = build_lod_tree(g)

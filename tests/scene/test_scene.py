@@ -57,6 +57,16 @@ def test_tracks_interpolate_and_parts_are_there_while_their_tracks_are_valid() -
         scene.member("layers/c")
 
 
+@pytest.mark.parametrize("turn_deg", [1.0, 3.0, 100.0])
+def test_tracks_turn_evenly_by_small_and_large_angles(turn_deg: float) -> None:
+    ends = Rotation.from_euler("z", [[0], [turn_deg]], degrees=True).as_quat()[:, [3, 0, 1, 2]]
+    turning = PoseTrack(np.array([0.0, 1.0]), np.zeros((2, 3)), ends, np.ones(2, bool))
+    for part in (0.25, 0.5, 0.9):
+        pose = turning.pose(part)
+        assert pose is not None
+        assert np.degrees(np.arctan2(pose[1, 0], pose[0, 0])) == pytest.approx(part * turn_deg, rel=1e-4)
+
+
 def test_parts_and_the_ego_are_in_meters_with_z_up() -> None:
     layer = Layer("a", sample_gaussians(3))
     scene = Scene("s", (layer,), (car(),), metres_per_unit=2.0, up=(0.0, -1.0, 0.0), ego=track())

@@ -140,7 +140,9 @@ def test_the_track_of_an_actor_whatever_place_the_scenario_states():
     path_of_van = replace(track([0.0, 4.0], [(5, 3, 0), (25, 3, 0)]), valid=np.array([True, False]))
     actor = replace(box_actor("van"), track=path_of_van)
     scene = replace(small_scene(), actors=(actor,))
-    path, slow = (moves(settings(kind="track", actor="van", pace=pace), car(0), 5.0, scene=scene) for pace in (1, 0.5))
+    path, slow = (
+        moves(settings(kind="track", actor="van", **pace), car(0), 5.0, scene=scene) for pace in ({}, {"pace": 0.5})
+    )
     assert (path[0].id, path[0].x_m, path[0].y_m, path[-1]) == ("car", 5.0, 3.0, None)
     assert (path[8].x_m, path[8].speed_m_s) == pytest.approx((15.0, 5.0))
     assert [each.x_m for each in slow[::2]] == pytest.approx([each.x_m for each in path[: len(slow[::2])]])

@@ -54,6 +54,15 @@ def test_what_falls_is_stored_or_drains_or_dries(dips):
     assert abs(fell - left - held) < 0.01 * fell
 
 
+@pytest.mark.parametrize(("dips", "run_in"), [(0.1, 3.0), (0.5, 1.0)])
+def test_dips_fill_with_rain_and_what_three_times_their_area_drains(dips, run_in):
+    of = films((0, 0.0), (1, 20.0), (7200, 20.0), water=ground(dips))
+    before, now, after = (of.at(t) for t in (119.0, 120.0, 121.0))
+    filling_mm_h = (after.dip_mm - before.dip_mm) / 2 * 3600
+    assert now.dip_mm < DIP_MM and drainage_mm_h(now.film_mm) > 1
+    assert filling_mm_h == pytest.approx(20 - evaporation_mm_h(20.0) + run_in * drainage_mm_h(now.film_mm), rel=0.02)
+
+
 def test_steady_rain_has_the_depth_of_the_wet_look_and_full_dips():
     rates = 1.0, 8.5, 60.0
     for rate in rates:

@@ -164,6 +164,17 @@ def test_the_air_at_speed_blows_drops_up_the_pane():
     assert heights[0] == pytest.approx(-0.03) and heights[1] > -0.01
 
 
+def test_the_air_drags_drops_alike_in_all_directions():
+    pane, wetting = pane_of("windshield", CAMERA), Wetting(50.0)
+    ways = []
+    for air_m_s in np.array([(24.0, 0.0), (0.0, 24.0), (-24.0, 0.0), (14.4, 19.2)]):
+        drops = GlassDrops(pane, wetting, seed=3)
+        drops.place(0.0, 0.0, wetting.volume_factor * 2.5e-3**3)
+        drops.advance(0, NO_RAIN, np.zeros(2), air_m_s, np.zeros((4, 2)))
+        ways.append((drops.present()[:, :2] @ air_m_s).max() / 24.0)
+    assert ways == pytest.approx([0.024] * 4, rel=0.02)
+
+
 def test_a_sweep_clears_the_view_and_leaves_streaks():
     glass = history(wiper="low", wet_s=3.0)
     areas = []

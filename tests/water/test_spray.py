@@ -65,6 +65,20 @@ def test_tires_throw_the_water_that_they_displace(kind, size, tires_m):
     )
 
 
+def test_tires_end_within_the_sides_of_their_vehicle():
+    for kind, size, tire_m in (
+        ("car", (4.6, 1.85, 1.45), 0.2),
+        ("car", (6, 2.1, 2.9), 0.5),
+        ("bus", (9, 2.5, 2.7), 0.5),
+    ):
+        wheels = spray.wheels_of(kind, size)
+        assert wheels.width_m == tire_m
+        assert max(wheels.tracks_m) + tire_m / 2 == pytest.approx(size[1] / 2 - 0.05)
+        assert min(wheels.tracks_m) == -max(wheels.tracks_m)
+    assert spray.wheels_of("bicycle", (1.8, 0.6, 1.7)).tracks_m == (0.0,)
+    assert spray.wheels_of("train", (20, 3, 4)) is None and spray.wheels_of("person", (0.5, 0.6, 1.8)) is None
+
+
 def test_slow_tires_throw_nothing_and_fast_ones_finer_drops():
     assert len(spray_parcels(road(10.9), CALM, FILM_MM, 0.0)) == 0
     clouds = [spray_parcels(road(v), CALM, FILM_MM, 0.0).extinction_m2.sum() for v in (12.0, 14.0, 17.0, 22.0, 28.0)]

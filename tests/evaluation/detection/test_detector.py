@@ -246,6 +246,13 @@ def test_centers_in_pixels_need_a_description(tmp_path: Path):
     assert open_detector(path, "yolox_decoded").description.channels == "bgr"
 
 
+@pytest.mark.parametrize(
+    ("kind", "size_px"), [("RT-DETR of Hugging Face", (640, 640)), ("DETR of Hugging Face", (1200, 800))]
+)
+def test_open_sizes_of_recognized_kinds_are_those_of_their_training(kind: str, size_px, tmp_path: Path):
+    assert open_detector(LAYOUTS[kind](tmp_path / "open.onnx")).input_size_px == size_px
+
+
 def test_open_sizes_are_set_by_the_description(tmp_path: Path):
     path = write_constant(tmp_path / "open.onnx", [rows((0, 0, 96, 48, 0.9, 0))], ("height", "width"), NAMES)
     path.with_suffix(".yaml").write_text("decode: end_to_end\ninput_size_px: [96, 48]\n")

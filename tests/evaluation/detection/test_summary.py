@@ -211,6 +211,15 @@ def test_objects_are_red_if_missed_and_white_if_found(detections, has_red, has_w
     assert (_has(picture, (255, 60, 60)), _has(picture, (255, 255, 255))) == (has_red, has_white)
 
 
+def test_objects_are_dashed_along_all_four_edges():
+    is_red = (draw_boxes(np.zeros_like(PICTURE), [Detection("car", 1.0, BOX)], []) == RED).all(axis=-1)
+    left, top, right, bottom = map(int, BOX)
+    for along in (is_red[top, left:right], is_red[bottom, left:right]):
+        assert 0.35 < along.mean() < 0.65
+    for along in (is_red[top:bottom, left], is_red[top:bottom, right]):
+        assert 0.35 < along.mean() < 0.65
+
+
 def test_ground_truth_has_boxes_and_names_in_the_color_of_their_class():
     picture = draw_truths(PICTURE, [Detection("car", 1.0, BOX)])
     assert tuple(picture[200, 200]) == tuple(picture[116, 201]) == class_color("car")

@@ -18,6 +18,7 @@ from gsrain_engine.evaluation.lidar.rain_echoes import (
     wet_road_share,
 )
 from gsrain_engine.rain.frame import RainCamera
+from gsrain_engine.rain.properties import CLASSES
 from gsrain_engine.rain.settings import STREAK_REGION, RainSettings, RegionBox
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.scene.camera import Camera
@@ -53,6 +54,14 @@ def test_expected_number_is_the_integral_of_the_spectrum(intensity):
     integrals = [integrated(SENSOR, state, 0.0, end) for end in (2.0, 4.0, 12.0)]
     assert integrals[0] > 1e-5
     np.testing.assert_allclose(found, integrals, rtol=0.03)  # 16,384 classes are coarse for the few largest drops
+
+
+@pytest.mark.parametrize("intensity", [1.2, 12.0, 50.0])
+def test_no_drop_is_detected_beyond_the_reach(intensity):
+    model = DropReturnModel(SENSOR, RainSimulation.start(RainSettings(intensity_mm_h=intensity)).state)
+    ranges = np.arange(0.0, 60.0, 1e-3)
+    farthest_m = ranges[model.first_detected(ranges) < CLASSES].max()
+    assert 1 < farthest_m <= model.reach_m < farthest_m + 0.02
 
 
 def test_far_drops_follow_the_integral():

@@ -102,6 +102,18 @@ def test_vehicles_drive_forward_on_their_wheels(folder):
     np.testing.assert_allclose(placed, expected, atol=1e-5)
 
 
+def test_a_standing_vehicle_looks_along_its_longer_level_side_however_tall_it_is(folder):
+    recording = folder.path / "meta_data.json"
+    values = json.loads(recording.read_text())
+    for frame in values["frames"]:
+        frame["dynamics"] = {CAR: box_to_scene(0.0).tolist()}
+    values["verts"][CAR] = [[x, y, 6 * z] for x, y, z in values["verts"][CAR]]
+    recording.write_text(json.dumps(values))
+    (car,) = load_scene(folder.path).actors
+    assert car.size_lwh == pytest.approx((LENGTH, WIDTH, 6 * HEIGHT))
+    np.testing.assert_allclose(np.abs(car.pose_at(0.25)[:3, 0]), [0, 0, 1], atol=1e-9)
+
+
 def test_a_fitted_motion_replaces_the_annotated_one(folder):
     times = torch.tensor([0.0, 1.0])
     turned = Rotation.from_matrix(box_to_scene(0)[:3, :3]).as_euler("xzy")

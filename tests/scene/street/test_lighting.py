@@ -18,7 +18,7 @@ from gsrain_engine.scene.rig import rig_camera
 from gsrain_engine.scene.street.build import quads_to_gaussians
 from gsrain_engine.scene.street.layout import Label
 from gsrain_engine.scene.street.lighting import canyon_share, overcast_share
-from gsrain_engine.scene.street.vegetation import overcast_luminance, overcast_sky_display
+from gsrain_engine.scene.street.vegetation import overcast_luminance, overcast_sky_display, sky_display
 from gsrain_engine.scene.street.wet_surfaces import puddles, reflecting, wet_materials
 from gsrain_engine.simulation.traffic.appearance import built_in_vehicle
 
@@ -107,6 +107,16 @@ def test_the_overcast_sky_is_gray_brighter_above_and_without_a_sun(surfaces):
     assert 0.002 < colors[directions[:, 2] > 0.9].std() < 0.06  # clouds
 
 
+def test_clouds_of_a_clear_sky_are_white_at_their_edges_and_gray_in_their_middle(surfaces):
+    directions = np.random.default_rng(1).normal(size=(8000, 3))
+    directions[:, 2] = np.abs(directions[:, 2]) + 0.3
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    sun = surfaces.light().sun
+    colors = sky_display(directions, sun, 7)[directions @ sun < 0.3]
+    clouds = colors[colors[:, 2] - colors[:, 0] < 0.1].mean(axis=1)
+    assert len(clouds) > 100 and clouds.min() < 0.84 and clouds.max() > 0.87
+
+
 def test_nothing_under_clouds_has_a_sunny_side(surfaces):
     """Sunlit and shaded road differ by more than twice under the sun, and hardly under clouds."""
     quads = surfaces.layers["road"]
@@ -121,6 +131,26 @@ def test_a_wall_sees_more_sky_above(surfaces):
     points = np.stack([np.full(3, 40.0), np.full(3, surfaces.layout.parameters.front_y_m), heights], axis=1)
     share = canyon_share(surfaces.layout, points, np.tile([0.0, -1.0, 0.0], (3, 1)))
     assert 0.2 < share[0] < share[1] - 0.1 < share[2] - 0.2
+
+
+def test_the_light_between_houses_is_that_of_a_long_canyon(surfaces):
+    """Level ground has the mean cosine of both eaves, a wall what the eaves opposite leave, others a mixture."""
+    front, x, eaves = surfaces.layout.parameters.front_y_m, 40.0, 13.0
+    y, z = 0.5 * front, 3.0
+    level = 0.5 * sum(np.cos(np.arctan2(eaves - z, away)) for away in (front - y, front + y))
+    to_left, to_right = (1 - np.sin(np.arctan2(eaves - z, away)) for away in (front - y, front + y))
+    half = np.sqrt(0.5)
+    rows = [
+        ((x, y, z), (0, 0, 1), level),
+        ((x, y, z), (0, 1, 0), to_left),
+        ((x, y, z), (0, -1, 0), to_right),
+        ((x, y, z), (0, half, half), (to_left + level) / 2),
+        ((x, y, eaves + 1), (0, 0, 1), 1),
+        ((surfaces.layout.parameters.end_x_m + 1, y, z), (0, 0, 1), 1),
+        ((x, front + 1, z), (0, 0, 1), 1),
+    ]
+    points, normals, expected = (np.array(column, np.float64) for column in zip(*rows, strict=True))
+    np.testing.assert_allclose(canyon_share(surfaces.layout, points, normals), expected, rtol=1e-9)
 
 
 def test_wet_materials_are_darker_and_stronger_in_color_and_paint_is_not(surfaces):

@@ -1,5 +1,6 @@
 """The built-in street: sound Gaussians, free lanes, vehicles on their wheels, cameras, and the meshes that it is of."""
 
+import json
 from dataclasses import replace
 
 import msgspec
@@ -8,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from built_street import SHORT, street_of, surfaces_of
+from built_street import MOMENTS, SHORT, moments_of, street_of, surfaces_of
 from gsrain_engine.scene.gaussians import SH_C0, Gaussians, evaluate_sh
 from gsrain_engine.scene.geometry import matrices_from_quaternions
 from gsrain_engine.scene.rig import rig_camera
@@ -30,6 +31,7 @@ from gsrain_engine.scene.street.layout import CURB_HEIGHT_M, STREETS, Label, Str
 from gsrain_engine.scene.street.lighting import Illumination
 from gsrain_engine.scene.street.mesh import Quads, box, broken_lines, even_lines, panel
 from gsrain_engine.scene.street.refinement import ego_camera_line, refined, split_at_shadows
+from gsrain_engine.scene.street.shadows import vehicle_occluders
 from gsrain_engine.scene.street.trucks import build_truck
 
 from ..formats.sample_files import assert_valid
@@ -57,6 +59,15 @@ def test_gaussians_are_sound_and_those_of_the_quads(street: Scene, surfaces: Str
         assert len(each.gaussians)
     for layer in street.layers:  # Gaussian i is quad i
         np.testing.assert_array_equal(layer.gaussians.means, means_of(surfaces.layers[layer.name]))
+
+
+def test_all_parts_are_what_they_were(surfaces: StreetSurfaces) -> None:
+    """Sizes, places, colors and lamps of everything that is built, which no rule but these numbers fixes."""
+    found, expected = moments_of(surfaces), json.loads(MOMENTS.read_text(encoding="utf-8"))
+    assert found.keys() == expected.keys()
+    for part, numbers in expected.items():
+        for name, value in numbers.items():
+            assert found[part][name] == pytest.approx(value, rel=1e-5, abs=1e-6), f"{name} of {part}"
 
 
 def test_the_road_is_flat_whole_and_marked_in_its_middle(street: Scene, surfaces: StreetSurfaces) -> None:
@@ -308,6 +319,18 @@ def test_shadows_are_cut_where_the_sun_casts_them(surfaces: StreetSurfaces) -> N
         return np.histogram(np.ptp(at, axis=0), 5, (0, 1), weights=areas(quads))[0]
 
     assert changes(cells)[3:].sum() < 0.5 * changes(road)[3:].sum()
+
+
+def test_what_casts_shadows_lies_within_its_vehicle_or_person() -> None:
+    occluders = vehicle_occluders(plan_street(StreetParameters()))
+    for each in occluders:
+        low, high = np.array(each.boxes)[:, 0].min(axis=0), np.array(each.boxes)[:, 1].max(axis=0)
+        assert (np.maximum(np.abs(low), np.abs(high))[:2] <= np.array([each.length, each.width]) / 2 + 1e-9).all()
+        assert 0 <= low[2] < high[2] and (high[2] <= each.height or each.height == 1.2)  # a car's roof shades no other
+    trucks = [np.array(each.boxes) for each in occluders if each.shades_itself]
+    assert len(trucks) == 3
+    for boxes in trucks:  # else they would shade the surface itself
+        assert boxes[:, 0, 0].min() > TRUCK_FORM.body_back and boxes[:, 1, 2].max() < TRUCK_FORM.height
 
 
 def test_panels_and_boxes_face_outwards_and_keep_their_area() -> None:

@@ -62,6 +62,12 @@ def car(id, gap_m, left_m=0.0, yaw_rad=0.0, speed_m_s=0.0):
     return RoadUser(id, "car", (4.6, 1.8, 1.4), VEHICLE.front_m + gap_m + 2.3, left_m, yaw_rad, speed_m_s)
 
 
+def test_constant_velocity_is_three_seconds_of_the_route():
+    agent = open_agent("constant-velocity", AgentOptions())
+    plan = agent.plan(observation(VehicleState(3.0, 2.0, 0.0, 8.0)))
+    np.testing.assert_allclose(plan.points, [[4.0 * k, -2.0] for k in range(1, 7)], atol=1e-12)
+
+
 # Planner
 
 

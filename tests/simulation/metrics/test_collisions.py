@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gsrain_engine.simulation.metrics import collisions
@@ -52,6 +52,15 @@ def crossing(late_s):
 def two(first, *later):
     """A plan of 5, 10, ... 30 m among some users, and steps with others after it."""
     return [step(0, ego(), first, straight(10)), *(step(i, ego(2.5 * i), each) for i, each in enumerate(later, 1))]
+
+
+@settings(max_examples=40)
+@given(st.lists(st.tuples(*[st.floats(-2000, 2000)] * 2), min_size=1, max_size=20))
+def test_cells_are_sorted_by_x_then_y_and_return_their_places(points):
+    cells = np.unique(np.floor(np.array(points) / CELL_M), axis=0)
+    space = OccupiedSpace(np.unique(cell_keys(np.array(points), CELL_M)))
+    np.testing.assert_allclose(space.places, (cells + 0.5) * CELL_M)
+    assert space.holds(np.array(points)).all() and not space.holds(cells[-1:] * CELL_M + [1.5 * CELL_M, 0]).any()
 
 
 F, T = False, True
