@@ -9,7 +9,8 @@ from .widgets.text import visible_name
 _MIN_WIDTH, _MIN_HEIGHT = 1100.0, 700.0  # of a window with docks, in pixels at text size 1 and DPI 1
 _SIDES = ("LeftSpace", "LeftBottomSpace", "RightSpace", "RightBottomSpace")
 _BOTTOM = ("BottomSpace",)
-_OPEN_EM = 24.0  # width of the open panel
+_OPEN_EM = 24.0  # width of the open panel, unless it is one of those below
+_LOW = 0.6  # height of one of those, as a share of the viewport's
 _GAP = 4.0
 _APPEAR_FRAMES = 2  # from the unfolding of docks until all their windows are there
 
@@ -91,9 +92,11 @@ class FoldedPanels:
 
     def _draw_open(self, panel: hello_imgui.DockableWindow, corner: ImVec2, height: float) -> None:
         room = corner.x - imgui.get_window_pos().x
-        wide = min(_OPEN_EM * imgui.get_font_size(), room)
-        imgui.set_next_window_pos(ImVec2(corner.x - wide, corner.y))
-        imgui.set_next_window_size(ImVec2(wide, height))
+        is_wide = panel.dock_space_name in _BOTTOM
+        wide = room if is_wide else min(_OPEN_EM * imgui.get_font_size(), room)
+        tall = _LOW * height if is_wide else height
+        imgui.set_next_window_pos(ImVec2(corner.x - wide, corner.y + height - tall))
+        imgui.set_next_window_size(ImVec2(wide, tall))
         imgui.set_next_window_bg_alpha(1.0)
         flags = imgui.WindowFlags_.no_move | imgui.WindowFlags_.no_resize | imgui.WindowFlags_.no_docking
         flags |= imgui.WindowFlags_.no_saved_settings | imgui.WindowFlags_.no_collapse

@@ -136,7 +136,7 @@ def status_bar(editor: Editor) -> None:
         each.marks.selected.size for each in editor.document.scene.members if each.marks.selected is not None
     )
     words = [
-        editor.document.scene.name,
+        editor.files.title,
         f"{editor.playback.clock.time_s:.1f} s",
         f"{state.intensity_mm_h:.1f} mm/h {state.rain_class}".rstrip(),
     ]
@@ -158,7 +158,8 @@ def status_bar(editor: Editor) -> None:
     hint = f"{tool.name}: {tool.help}" if tool is not None else ""
     newest = editor.status.log.lines[-1] if editor.status.log.lines else None
     age = datetime.now() - newest.at if newest is not None and newest.level == logging.INFO else _NEW
-    if newest is not None and timedelta() <= age < _NEW and newest.text:  # below 0 the clock was set back
+    is_new = timedelta() <= age < _NEW  # below 0 the clock was set back
+    if newest is not None and is_new and newest.text not in ("", editor.busy):
         hint = newest.text  # such as "Exported out.ply"; errors appear over the viewport instead
     if hint:
         imgui.same_line()

@@ -104,7 +104,7 @@ class Workspace:
     @property
     def title(self) -> str:
         """Title of the window: the scene, with a star if it has unsaved changes."""
-        return f"GSRAIN: {self.editor.document.scene.name}{' *' if self.editor.files.has_changes else ''}"
+        return f"GSRAIN: {self.editor.files.title}{' *' if self.editor.files.has_changes else ''}"
 
     def update(self) -> None:
         """Advance time. Call it once per frame, before drawing."""

@@ -291,9 +291,10 @@ class Editor:
         if result.drawn is not None:
             viewport.budget.measured(result.drawn.quality, result.drawn.frame_ms)
             viewport.detail = result.drawn.quality
+            is_first = result.drawn.backend != viewport.backend  # with the loading of its kernels or shaders
             viewport.backend, viewport.backend_reason = result.drawn.backend, result.drawn.backend_reason
             viewport.statistics = dict(result.drawn.statistics)
-            if result.drawn.quality.is_exact:
+            if result.drawn.quality.is_exact and result.is_settled and not is_first:
                 viewport.full_ms_per_megapixel = result.drawn.frame_ms / viewport.statistics["megapixels"]
         scene = self.document.scene
         is_same = frame.scene is scene or frame.scene.geometry_key == scene.geometry_key

@@ -117,6 +117,11 @@ class Files:
         return None if home is None else home.folder
 
     @property
+    def title(self) -> str:
+        """Name of the document: that of its scene folder, else of the scene."""
+        return self._document.scene.name if self.home is None else self.home.name
+
+    @property
     def stamp(self) -> FileFingerprint | None:
         """State of the scene folder when it was read or written last."""
         home = self._homes.get(self._document.state.origin)
@@ -215,7 +220,7 @@ class Files:
         source = str(self.home) if self.home is not None else self.source
         if source is None:
             return
-        text = f"All changes of {self._document.scene.name} since it was last saved are lost."
+        text = f"All changes of {self.title} since it was last saved are lost."
         if self.has_changes:
             self._ask("Revert", text, Answer("Revert", lambda: self._reread(source), "Read the scene again."))
         else:
@@ -232,7 +237,7 @@ class Files:
         """
 
         def when_saved() -> None:
-            name = self._document.scene.name
+            name = self.title
             if not self.has_changes:
                 without_results()
                 return
@@ -295,8 +300,8 @@ class Files:
             self.place_request = lambda path: self.save_as(path, act)
 
     def proposed_name(self, suffix: str = "") -> str:
-        """Name of the scene as that of a file or folder: letters that a file system may refuse become `_`."""
-        return re.sub(r"[^\w.+-]+", "_", self._document.scene.name).strip("._") + suffix
+        """Title as the name of a file or folder: letters that a file system may refuse become `_`."""
+        return re.sub(r"[^\w.+-]+", "_", self.title).strip("._") + suffix
 
     def save_to(self, path: Path, act: Callable[[], None] = do_nothing) -> None:
         """Save to a scene folder; ask first if another program has changed it."""

@@ -94,7 +94,7 @@ class RenderQueue:
     def end_s(self) -> float:
         """End of the clip in seconds; its start if there is nothing to record."""
         extent = self.extent()
-        return self._settings.first_s + (0.0 if isinstance(extent, str) else extent.length_s)
+        return self.settings.first_s + (0.0 if isinstance(extent, str) else extent.length_s)
 
     def proposed_name(self, suffix: str | None = None) -> str:
         """Name of a recording's file or folder: the scene's, with a suffix or that of the chosen format."""

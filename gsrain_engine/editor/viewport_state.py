@@ -236,8 +236,8 @@ class ViewportState:
         self.navigation = home_viewport_camera(self.document.scene, *_VIEW_SIZE, self.navigation.speed_m_s)
 
     def reset(self) -> None:
-        """Reset the camera for another scene."""
-        self._path = PathFollower()
+        """Reset the camera for another scene, and forget how long the last one took to draw."""
+        self._path, self.full_ms_per_megapixel = PathFollower(), None
         self.go_home()
 
     def _follow(self, old: DocumentState, new: DocumentState) -> None:

@@ -12,9 +12,11 @@ from PIL import Image
 from app.main import run
 from editor.files.open_document import settle
 from gsrain_engine.editor.autosave import saved_scene
+from gsrain_engine.editor.drawing.frame import DrawnImage, DrawResult
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.edits.members import set_path
 from gsrain_engine.editor.jobs.job import JobError
+from gsrain_engine.editor.viewport.options import FULL_QUALITY
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.formats.scene_files import write_scene
@@ -35,6 +37,32 @@ FLIGHT = CameraPath(
 
 def files_in(folder):
     return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_the_estimate_is_of_the_last_picture_that_a_recording_would_draw_as_well(editor):
+    """A substitute until the renderer is ready, the first picture with it, and coarse ones take another time."""
+
+    def draw(frame_ms, backend, quality=FULL_QUALITY, is_settled=True):
+        image = DrawnImage(quality, frame_ms, backend, "", {"megapixels": 0.5})
+        editor.apply(DrawResult(editor.render_input(96, 64), drawn=image, is_settled=is_settled))
+        return editor.viewport.full_ms_per_megapixel
+
+    assert [draw(90_000, "opengl-quads", is_settled=False) for _ in range(2)] == [None, None]
+    assert draw(60_000, "cpu") is None and editor.render_queue.extent().seconds is None
+    assert draw(100, "cpu") == draw(9, "cpu", FULL_QUALITY._replace(scale=0.5)) == 200
+    frames, seconds = editor.render_queue.extent().frames, editor.render_queue.extent().seconds
+    assert seconds == pytest.approx(frames * 0.2 * 0.96 * 0.64)
+    editor.viewport.reset()  # for another scene
+    assert editor.render_queue.extent().seconds is None
+
+
+def test_the_ends_of_a_recording_are_those_of_the_timelines_range(editor):
+    editor.document.edit("Fly", set_path, FLIGHT)
+    queue, clock = editor.render_queue, editor.playback.clock
+    queue.change(first_s=0.5, last_s=0.7)
+    assert (queue.settings.first_s, queue.end_s) == pytest.approx((0.5, 0.7))
+    queue.follows_range, clock.span_s = True, (1.0, 1.8)
+    assert (queue.settings.first_s, queue.end_s) == pytest.approx((1.0, 1.8))
 
 
 @pytest.mark.parametrize(("codec", "output", "count"), [("h264", "clip.mp4", 1 + 6 + 1), ("png", "clip", 2 * 6 + 1)])

@@ -7,10 +7,15 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from gsrain_engine.compile_cache import KERNELS
+from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.edits.gaussians import box_around
+from gsrain_engine.editor.files import Files
 from gsrain_engine.editor.news import news_in, read_news
 from gsrain_engine.editor.preferences import load_preferences
 from gsrain_engine.scene.formats.scene_files import write_scene
 from small_scene import small_scene
+from window_driver import imgui
 
 
 def test_a_file_of_gaussians_becomes_a_rainy_scene_in_four_actions(driver, tmp_path):
@@ -21,6 +26,8 @@ def test_a_file_of_gaussians_becomes_a_rainy_scene_in_four_actions(driver, tmp_p
     editor.files.close_scene()
     driver.until(lambda: not editor.document.scene.members and editor.busy is None)
     driver.frames(3)
+    for offered in ("Open built-in street", "Open capture folder...", "What's new"):
+        assert driver.ctx.item_exists(f"//**/###{offered}")
     with driver.journey(4):
         driver.tap("//**/###Open...")
         driver.choose_file("Open a scene", file)
@@ -46,6 +53,10 @@ def test_a_file_of_gaussians_becomes_a_rainy_scene_in_four_actions(driver, tmp_p
 
     # What was guessed is corrected: another axis, a known length.
     editor.scene_setup.is_open = True
+    editor.viewport.options.tool, editor.selection.box = "Box", box_around(scene)  # with options in two rows
+    driver.frames(3)
+    row_start, row_size = driver.area("//**/Apply##box")
+    assert driver.area("//**/###guess")[0][1] >= row_start[1] + row_size[1]
     editor.scene_setup.turn("z")
     assert (editor.scene_setup.axis, editor.document.scene.ground_m) == ("z", None)
     driver.frames(3)
@@ -90,3 +101,24 @@ def test_the_news_are_the_short_group_of_the_newest_changes():
     assert news_in(changes) == ("1.2", ("Rain at night.", "Record is faster."))
     assert news_in("# Changes\n\n## 1.2\n\nFiles\n* More.\n\n## 1.1\n\nIn short\n* Old.\n").lines == ()
     assert len(read_news().lines) > 3
+
+
+def test_the_kernels_that_are_compiled_are_counted_while_a_file_opens(driver, monkeypatch):
+    apply, bar, drawn = Editor.apply, imgui.progress_bar, []
+
+    def apply_preparing(editor, result):
+        apply(editor, result)
+        editor.viewport.is_preparing, editor.viewport.kernels = True, KERNELS // 2
+
+    def draw_bar(fraction, *others):
+        drawn.append(fraction)
+        bar(fraction, *others)
+
+    monkeypatch.setattr(Editor, "apply", apply_preparing)
+    monkeypatch.setattr(imgui, "progress_bar", draw_bar)
+    monkeypatch.setattr(Files, "busy", "Opening crossing")
+    driver.editor.viewport.is_preparing, driver.editor.viewport.kernels = True, KERNELS // 2
+    driver.ctx.yield_(3)
+    monkeypatch.undo()
+    driver.frames(3)
+    assert 0.5 in drawn and any(each < 0 for each in drawn)

@@ -271,7 +271,7 @@ def a_flight_of_ten_seconds(driver):
     editor = driver.editor
     key(driver, KEY.k)
     driver.type_in(f"{driver.panel('Timeline')}**/##time", 10.0)
-    driver.stroke(driver.at(0.5, 0.6), driver.at(0.6, 0.6), driver.at(0.65, 0.55))
+    driver.stroke(driver.at(0.5, 0.35), driver.at(0.6, 0.35), driver.at(0.65, 0.3))
     driver.press(KEY.k)
     assert editor.document.scene.path.times_s.tolist() == [0, 10]
     assert editor.render_queue.extent().length_s == pytest.approx(10, abs=0.05)

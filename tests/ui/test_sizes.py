@@ -42,6 +42,15 @@ def test_in_a_small_window_panels_fold_to_names_and_one_opens_over_the_view(driv
     driver.tap("//**/###fold Rain")
     assert folded.open == ""
 
+    # The timeline has room for all of its buttons, below the picture.
+    driver.tap("//**/###fold Timeline")
+    rect = driver.ctx.window_info(OPEN).window.rect()
+    assert rect.min.y > corner[1] + 100 * dpi_scale
+    for each in ("add key", "path", "record"):
+        start, size = driver.area(f"{OPEN}/Timeline/###{each}")
+        assert size[0] > 0 and rect.min.x < start[0] and start[0] + size[0] <= rect.max.x
+    driver.tap("//**/###fold Timeline")
+
     # What asks for a panel opens it there.
     driver.ctx.set_ref("//##MainMenuBar")
     driver.ctx.menu_click("View/Panels/Jobs")

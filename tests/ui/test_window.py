@@ -205,6 +205,7 @@ def test_layers_are_locked_copied_named_and_removed(driver):
     driver.ctx.key_chars_replace_enter("fence")
     driver.frames(3)
     assert (names()[2], editor.viewport.options.member) == ("fence", "layers/fence")
+    assert {"wall 2", "fence"} <= set(editor.document.history.labels[-1].partition(" ")[2].split(" to "))
     driver.click("//Layers/Remove")
     assert names() == ["road", "wall", "sky"]
     driver.press(chord(_CTRL, imgui.Key.z))

@@ -75,9 +75,17 @@ def function_at(place: str) -> Callable[..., Any]:
     return getattr(import_module(module), name)
 
 
+def command_named(name: str) -> Command:
+    """Find a command by its name. Raises `KeyError` if there is none."""
+    found = next((command for command in COMMANDS if command.name == name), None)
+    if found is None:
+        raise KeyError(f"no command is called {name!r}")
+    return found
+
+
 def help_of(name: str) -> str:
     """Help text of a command, for buttons that do the same."""
-    return next(command.help for command in COMMANDS if command.name == name)
+    return command_named(name).help
 
 
 # Functions of commands
@@ -278,6 +286,9 @@ COMMAND_GROUPS: tuple[tuple[Command, ...], ...] = (
         Command("Render image...", "ui.panels.record:ask_where_to_render_image", "File", "Ctrl+Shift+R",
                 "Render the present view at the present time, in the size and with the samples of the Record panel.",
                 _has_scene, shell="render", python="render"),
+        Command("Draw intensity sheet...", "ui.panels.record:ask_where_to_draw_sheet", "File", "",
+                "Draw the present view in five intensities below each other, with what can be seen of each in numbers.",
+                _has_scene, shell="render"),
     ),
     # Editing
     (

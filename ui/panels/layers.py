@@ -9,6 +9,7 @@ from imgui_bundle import ImVec2, icons_fontawesome_6, imgui
 from gsrain_engine.editor.document import Document
 from gsrain_engine.editor.edits import layers
 from gsrain_engine.editor.edits.members import set_grading, set_locked, set_opacity, set_visible
+from gsrain_engine.editor.files import Files
 from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.scene.scene import UNCHANGED, Actor, ColorGrading, Layer, Scene
 from gsrain_engine.scene.transforms import without_wet_colors
@@ -42,10 +43,10 @@ class _PanelState:
 _state = _PanelState()
 
 
-def layers_panel(document: Document, viewport: ViewportState) -> None:
+def layers_panel(document: Document, viewport: ViewportState, files: Files) -> None:
     scene = document.scene
     chosen = next((each for each in scene.members if each.key == viewport.options.member), None)
-    imgui.text_wrapped(f"{scene.name}: {scene.gaussian_count:,} Gaussians")
+    imgui.text_wrapped(f"{files.title}: {scene.gaussian_count:,} Gaussians")
     _state.marked = [key for key in _state.marked if any(each.key == key for each in scene.members)]
     if imgui.begin_table("members", 4, imgui.TableFlags_.row_bg | imgui.TableFlags_.sizing_fixed_fit):
         icon = _ICON_EM * imgui.get_font_size()
@@ -146,7 +147,7 @@ def _rename(document: Document, viewport: ViewportState, member: Layer | Actor) 
     entered, _state.typed = imgui.input_text("##new name", _state.typed, flags)
     if entered and _state.typed.strip() not in ("", member.name):
         names = {each.key for each in document.scene.members}
-        document.edit(f"Rename {member.name}", layers.rename, member.key, _state.typed)
+        document.edit(f"Rename {member.name} to {_state.typed.strip()}", layers.rename, member.key, _state.typed)
         viewport.options.member = next(
             (each.key for each in document.scene.members if each.key not in names), member.key
         )

@@ -107,8 +107,7 @@ def record_panel(
     _passes(render_queue)
     _preview(render_queue)
     imgui.separator()
-    help_text = "Draw the present view in five intensities below each other, with what can be seen of each in numbers."
-    if button("Intensity sheet...", help_text, width=-1):
+    if button("Intensity sheet...", help_of("Draw intensity sheet..."), width=-1):
         ask_where_to_draw_sheet(render_queue)
     why_not = "The scene is not in a file yet: save it first." if files.source is None else None
     forms = {"command": lambda: render_queue.command, "Python": lambda: render_queue.program}

@@ -27,6 +27,7 @@ from ..widgets.fields import (
     end_gesture_when_released,
     menu_item,
     plain_label,
+    same_line_if_room,
     text_color,
 )
 from ..widgets.file_dialogs import ask_what_to_open, ask_where_to_save
@@ -37,7 +38,7 @@ from .timeline_tracks import KEY_RADIUS, draw_key, easing_items, key_handle, tra
 _FA = icons_fontawesome_6
 _LEFT, _RIGHT = imgui.MouseButton_.left, imgui.MouseButton_.right
 _TITLES_EM, _NUMBERS_EM = 6.5, 21.0
-_NARROW_EM = 50.0  # width below which the numbers are hidden in favor of the rows
+_NARROW_EM = 50.0  # width below which numbers and words are hidden in favor of rows and buttons
 
 
 def timeline_panel(editor: Editor) -> None:
@@ -102,6 +103,7 @@ def _transport(editor: Editor) -> None:
     playback, view = editor.playback, editor.viewport.options
     clock, timeline = playback.clock, playback.timeline
     start, end = playback.span_s
+    is_narrow = imgui.get_content_region_avail().x < _NARROW_EM * imgui.get_font_size()
     if button(f"{_FA.ICON_FA_BACKWARD_FAST}###to start", "To the start of the range (Ctrl+Left)."):
         clock.seek(start)
     imgui.same_line()
@@ -123,10 +125,11 @@ def _transport(editor: Editor) -> None:
     imgui.set_next_item_width(4.2 * imgui.get_font_size())
     clock.speed = combo("##speed", clock.speed, _SPEEDS, "Playback speed; exports do not depend on it.")
     imgui.same_line()
-    _time(playback, end)
-    imgui.same_line(spacing=_GAP)
-    _keyframe_buttons(editor.camera_path)
-    imgui.same_line(spacing=_GAP)
+    _time(playback, None if is_narrow else end)
+    gap = _GAP / 2 if is_narrow else _GAP
+    same_line_if_room(7 if is_narrow else 11, gap)
+    _keyframe_buttons(editor.camera_path, has_words=not is_narrow)
+    same_line_if_room(9, gap)
     help_text = "Follow path: look through the path camera (V)."
     if button(f"{_FA.ICON_FA_EYE}###ride", help_text, is_on=view.follow_path):
         editor.viewport.ride(not view.follow_path)
@@ -136,7 +139,7 @@ def _transport(editor: Editor) -> None:
         timeline.show_path = not timeline.show_path
     imgui.same_line()
     _path_menu(editor.document, playback, editor.camera_path)
-    imgui.same_line(spacing=_GAP)
+    same_line_if_room(2, gap)
     help_text = "Choose a place, then record the timeline (Ctrl+R); the Record panel has format and size."
     title = f"{_FA.ICON_FA_VIDEO} Record..."
     width = imgui.calc_text_size(title).x + 2 * imgui.get_style().frame_padding.x
@@ -145,7 +148,8 @@ def _transport(editor: Editor) -> None:
         ask_where_to_record(editor.render_queue)
 
 
-def _time(playback: Playback, end: float) -> None:
+def _time(playback: Playback, end: float | None) -> None:
+    """Draw the time, and behind it the end of the range, unless that is None."""
     if playback.timeline.asks_for_time:
         imgui.set_keyboard_focus_here()
     imgui.set_next_item_width(5.5 * imgui.get_font_size())
@@ -155,16 +159,18 @@ def _time(playback: Playback, end: float) -> None:
     imgui.set_item_tooltip("Time of the scene in seconds: traffic, rain and camera path depend on it.")
     if typed is not None:
         playback.clock.seek(typed)
+    if end is None:
+        return
     imgui.same_line(spacing=4)
     imgui.align_text_to_frame_padding()
     imgui.text_disabled(f"/ {end:.2f} s")
     imgui.set_item_tooltip("End of the playback range. Drag its handles on the ruler to change it.")
 
 
-def _keyframe_buttons(camera_path: CameraPathEditor) -> None:
+def _keyframe_buttons(camera_path: CameraPathEditor, *, has_words: bool) -> None:
     key = camera_path.active_key
     help_text = "Insert a camera keyframe of the present view at the present time (K). Shift+K: after the last one."
-    if button(f"{_FA.ICON_FA_PLUS} Keyframe###add key", help_text):
+    if button(f"{_FA.ICON_FA_PLUS}{' Keyframe' if has_words else ''}###add key", help_text):
         camera_path.add_keyframe()
     with disabled(key is None):
         imgui.same_line()

@@ -123,13 +123,6 @@ def drag_vector(
     return changed, (x, y, z)
 
 
-def same_line_if_room(width_em: float) -> None:
-    """Continue on the same line, after a gap, if the width still fits; else on the next."""
-    imgui.same_line(0, 10)
-    if imgui.get_content_region_avail().x < width_em * imgui.get_font_size():
-        imgui.new_line()
-
-
 # Lines of the selection tools, light on dark
 
 DARK, LIGHT = ImVec4(0.0, 0.0, 0.0, 0.75), ImVec4(1.0, 0.85, 0.3, 1.0)

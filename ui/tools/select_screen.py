@@ -15,9 +15,9 @@ from gsrain_engine.editor.selection.volume import flood_select
 from gsrain_engine.editor.viewport.picking import PickResult, pick
 
 from ..widgets.draw import Canvas, is_clicked
+from ..widgets.fields import same_line_if_room
 from ..widgets.type_ahead import combo_box
 from . import base
-from .base import same_line_if_room
 
 MODIFIERS = "Shift adds, Ctrl removes, both intersect."
 _DEPTH_HELP = (

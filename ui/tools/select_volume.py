@@ -12,9 +12,9 @@ from gsrain_engine.editor.timeline import Playback
 from gsrain_engine.scene.scene import Scene
 
 from ..widgets.draw import WHITE, YELLOW, Canvas, draw_hint, draw_line, draw_point
-from ..widgets.fields import button
+from ..widgets.fields import button, same_line_if_room
 from ..widgets.text import inline_text
-from .base import CLAMP, DragTool, Tool, drag_number, drag_vector, draw_polyline, point_under_mouse, same_line_if_room
+from .base import CLAMP, DragTool, Tool, drag_number, drag_vector, draw_polyline, point_under_mouse
 from .select_screen import MODIFIERS, mode_now, mode_options
 
 _FIRST_SIZE_M = (2.0, 2.0, 2.0)

@@ -11,7 +11,7 @@ from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.edits.level import Axis, set_ground_height
 from gsrain_engine.editor.scene_setup import SETUP_MM_H
 
-from ..commands.table import COMMANDS
+from ..commands.table import command_named
 from ..widgets.fields import button
 from ..widgets.text import label
 from .notices import card
@@ -20,7 +20,7 @@ from .notices import card
 
 _WIDTH_EM = 30.0
 _OFFERED = {
-    "Open...": icons.ICON_FA_FOLDER_OPEN, "Open the built-in street": icons.ICON_FA_ROAD,
+    "Open...": icons.ICON_FA_FOLDER_OPEN, "Open built-in street": icons.ICON_FA_ROAD,
     "Open capture folder...": icons.ICON_FA_IMAGES, "What's new": icons.ICON_FA_GIFT,
 }  # fmt: skip
 _TITLES = {"Open capture folder...": "From images: open a capture, then reconstruct it..."}
@@ -35,11 +35,10 @@ def draw_start_card(editor: Editor, corner: ImVec2, width: int, height: int) -> 
     if imgui.begin_child("empty", ImVec2(wide, 0), flags):
         imgui.text_wrapped("No scene is open. Drop a scene file or folder here, or begin with one of these.")
         imgui.spacing()
-        for command in COMMANDS:
-            if command.name in _OFFERED:
-                title = f"{_OFFERED[command.name]}  {_TITLES.get(command.name, command.name)}###{command.name}"
-                if button(title, command.help, width=-1):
-                    command.perform(editor)
+        for name, icon in _OFFERED.items():
+            command = command_named(name)
+            if button(f"{icon}  {_TITLES.get(name, name)}###{name}", command.help, width=-1):
+                command.perform(editor)
         recent = editor.files.recent[:_MAX_RECENT]
         if recent:
             imgui.separator_text("Recent")
@@ -83,7 +82,7 @@ def draw_hint(editor: Editor, corner: ImVec2, left: float, height: int) -> ImVec
         imgui.set_item_tooltip("Don't show this any more.")
         for number, (title, name, help_text, is_done) in enumerate(steps, start=1):
             mark = icons.ICON_FA_CHECK if is_done else str(number)
-            command = next(each for each in COMMANDS if each.name == name)
+            command = command_named(name)
             keys = f" ({command.key_names})" if command.key_names else ""
             if button(f"{mark}  {title}###step {number}", help_text + keys, width=-1):
                 command.perform(editor)
@@ -124,11 +123,11 @@ def _version() -> str:
 # Bar of a new scene: up axis, scale, ground, rain
 
 
-def draw_setup_bar(editor: Editor, corner: ImVec2, left: float, width: int) -> None:
-    """Draw the steps from a file of Gaussians to rain, below the options of a tool."""
+def draw_setup_bar(editor: Editor, corner: ImVec2, left: float, width: int, top: float) -> None:
+    """Draw the steps from a file of Gaussians to rain, `top` below the upper edge, where the options of a tool end."""
     setup, document, viewport = editor.scene_setup, editor.document, editor.viewport
     scene, em = document.scene, imgui.get_font_size()
-    imgui.set_cursor_screen_pos(ImVec2(corner.x + left, corner.y + 8 + 1.7 * imgui.get_frame_height()))
+    imgui.set_cursor_screen_pos(ImVec2(corner.x + left, corner.y + top))
     imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(8, 5))
     with card("set-up", max(width - left - 8, 50), imgui.Col_.window_bg, 0.82, imgui.ChildFlags_.borders):
         end = imgui.get_cursor_screen_pos().x + imgui.get_content_region_avail().x

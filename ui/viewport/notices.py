@@ -31,7 +31,7 @@ _PREPARING = "Until then it does not rain. It takes two minutes on an idle compu
 
 
 def draw_notices(editor: Editor, corner: ImVec2, tools: float, taken: ImVec2, width: int, height: int) -> None:
-    """Draw all notices: an animated bar in the middle; above the lower right corner the error, then ended jobs.
+    """Draw all notices: an animated bar in the middle; in the lower right corner the preparation, error, ended jobs.
 
     The tools, whose right edge is `tools`, and a card in the lower left corner, whose right edge and height are
     `taken`, stay free.
@@ -40,16 +40,16 @@ def draw_notices(editor: Editor, corner: ImVec2, tools: float, taken: ImVec2, wi
     if editor.busy is not None:
         wide = min(_WIDTH_EM * em, width - 2 * _MARGIN)
         imgui.set_cursor_screen_pos(ImVec2(corner.x + (width - wide) / 2, corner.y + 0.4 * height))
-        _draw_busy(editor.busy, wide, editor.viewport.kernels if editor.busy == editor.preparing else None)
+        _draw_busy("busy", editor.busy, wide, editor.viewport.kernels if editor.busy == editor.preparing else None)
     is_narrow = width - taken.x - 2 * _MARGIN < _MIN_WIDTH_EM * em  # no room next to the card
     wide = min(_WIDTH_EM * em, width - 2 * _MARGIN - max(tools, 0.0 if is_narrow else taken.x))
     left = corner.x + width - wide - _MARGIN
     bottom = corner.y + height - _MARGIN - (taken.y if is_narrow else 0.0)
-    if editor.viewport.is_preparing and editor.busy is None:
+    if editor.viewport.is_preparing and editor.busy != editor.preparing:
         words = f"{editor.preparing}. {_PREPARING}"
         bottom -= _height(words, wide)
         imgui.set_cursor_screen_pos(ImVec2(left, bottom))
-        _draw_busy(words, wide, editor.viewport.kernels)
+        _draw_busy("preparing", words, wide, editor.viewport.kernels)
         bottom -= _MARGIN
     if editor.status.problem is not None:
         bottom -= _height(f"{icons.ICON_FA_TRIANGLE_EXCLAMATION}  {editor.status.problem}", wide)
@@ -70,9 +70,9 @@ def _height(words: str, wide: float) -> float:
     return text_height + 2 * padding.y + imgui.get_frame_height_with_spacing()
 
 
-def _draw_busy(words: str, wide: float, kernels: int | None) -> None:
+def _draw_busy(name: str, words: str, wide: float, kernels: int | None) -> None:
     """Draw a text over a bar: of the kernels that are compiled, or one that moves."""
-    with card("busy", wide, imgui.Col_.popup_bg, 0.94, imgui.ChildFlags_.borders):
+    with card(name, wide, imgui.Col_.popup_bg, 0.94, imgui.ChildFlags_.borders):
         imgui.text_wrapped(words)
         imgui.progress_bar(-imgui.get_time() if kernels is None else kernels / KERNELS, ImVec2(-1, 0), "")
 

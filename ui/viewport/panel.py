@@ -66,12 +66,11 @@ def viewport_panel(editor: Editor, tools: Sequence[Tool], picture: DrawResult, f
     _navigate_by_mouse(editor.viewport, canvas, uses_button)
     _navigate_by_keys(editor.viewport)
     left = tool_bar(editor.viewport, corner, height)
-    if tool is not None:
-        tool_options(tool, corner, left, width)
+    options_end = tool_options(tool, corner, left, width)
     if not editor.document.scene.members and editor.busy is None:
         draw_start_card(editor, corner, width, height)
     elif editor.scene_setup.is_open:
-        draw_setup_bar(editor, corner, left, width)
+        draw_setup_bar(editor, corner, left, width, options_end)
     taken = draw_update(editor, corner, left, height)
     if editor.preferences.value.hint:
         taken = draw_hint(editor, corner, left, height)
@@ -165,8 +164,14 @@ def _tool_button(icon: str, name: str, is_on: bool, side: float) -> bool:
     return clicked
 
 
-def tool_options(tool: Tool, corner: ImVec2, left: float, width: float) -> None:
-    """Draw the bar of the active tool over the viewport, starting at `left`."""
+def tool_options(tool: Tool | None, corner: ImVec2, left: float, width: float) -> float:
+    """Draw the bar of the active tool over the viewport, starting at `left`.
+
+    Returns the distance of its end, at least that of a bar of one row, from the upper edge.
+    """
+    one_row = 8 + 1.7 * imgui.get_frame_height()
+    if tool is None:
+        return one_row
     imgui.set_cursor_screen_pos(ImVec2(corner.x + left, corner.y + 8))
     imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(8, 5))
     with card("tool options", max(width - left - 8, 50), imgui.Col_.window_bg, 0.82):
@@ -176,6 +181,7 @@ def tool_options(tool: Tool, corner: ImVec2, left: float, width: float) -> None:
         imgui.same_line(0, 12)
         tool.options()
     imgui.pop_style_var()
+    return max(one_row, 8 + imgui.get_item_rect_size().y + _GAP)
 
 
 def view_bar(editor: Editor) -> None:

@@ -32,6 +32,13 @@ def field_label(name: str, owner: type[msgspec.Struct] = RainSettings, *, label:
     return info
 
 
+def same_line_if_room(width_em: float, gap: float = 10.0) -> None:
+    """Continue on the same line, after a gap in pixels, if the width still fits; else on the next."""
+    imgui.same_line(0, gap)
+    if imgui.get_content_region_avail().x < width_em * imgui.get_font_size():
+        imgui.new_line()
+
+
 def plain_label(text: str, help_text: str) -> None:
     """Draw a label with a tooltip, and move to the position of its widget."""
     indent = imgui.get_cursor_pos_x() - imgui.get_cursor_start_pos().x

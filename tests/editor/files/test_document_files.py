@@ -51,6 +51,22 @@ def test_save_writes_changes_with_rain_and_view_where_the_document_came_from(edi
     assert again.viewport.options == options
 
 
+def test_a_document_is_called_as_its_folder(editor, tmp_path):
+    assert editor.files.title == "crossing"
+    editor.files.save_as(tmp_path / "wet crossing")
+    settle(editor)
+    assert (editor.files.title, editor.files.proposed_name(".mp4")) == ("wet crossing", "wet_crossing.mp4")
+    editor.document.change_rain("Intensity", intensity_mm_h=7.5)
+    for ask in (editor.files.revert, editor.files.close_scene):
+        ask()
+        assert "wet crossing" in editor.status.question.text
+        answer(editor, "Cancel")
+    answered = editor.document.scene.name
+    editor.files.open_now(str(tmp_path / "wet crossing"))
+    settle(editor)
+    assert (editor.files.title, editor.document.scene.name) == ("wet crossing", answered)
+
+
 @pytest.mark.parametrize("suffix", [".ply", ".splat", ".spz"])
 @pytest.mark.parametrize("source", ["folder", "file", "nothing"])
 def test_an_export_is_a_copy_and_the_document_stays_unsaved(sessions, home, tmp_path, source, suffix):
