@@ -229,7 +229,7 @@ def update(control, **updates):
 
 
 def refused(url, message):
-    """Whether the sender of a message is disconnected, and told why."""
+    """Return whether the sender of a message is disconnected, with a reason."""
     with connected(url) as connection:
         connection.send(msgspec.msgpack.encode(message) if isinstance(message, dict) else message)
         with pytest.raises(ConnectionClosed) as closed:

@@ -76,7 +76,11 @@ def test_pictures_and_their_transpose_agree() -> None:
     (drawn,) = problem.pictures(factors)
     assert np.abs(drawn).max() > 0.1
     assert np.vdot(drawn, picture) == pytest.approx(np.vdot(factors, problem.gathered([picture])), rel=1e-3)
-    assert np.vdot(with_edges(drawn), picture) == pytest.approx(np.vdot(drawn, with_edges(picture)), rel=1e-4)
+    edges, transposed = (
+        np.vdot(each.astype(float), other)
+        for each, other in ((with_edges(drawn), picture), (drawn, with_edges(picture)))
+    )
+    assert edges == pytest.approx(transposed, rel=1e-4)
     problem.missing = [0.2 * drawn]
     change = find_factors(problem)[:, None] - 1
     assert np.linalg.norm(0.2 * drawn - problem.pictures(change / np.float32(GAIN))[0]) < 0.2 * np.linalg.norm(
