@@ -319,7 +319,7 @@ def run_in_frames(script):
 
 
 def test_clicks_on_tabs_and_in_panels_that_scroll_count(monkeypatch):
-    tabs, presets = ("History", "Select", "Layers", "Jobs", "Edit", "Timeline", "Rain"), ("12.0", "1.2", "clear", "8.5")
+    tabs, presets = ("History", "Select", "Layers", "Jobs", "Edit", "Timeline", "Rain"), ("12", "1.2", "0", "8.5")
     places, answers = {}, []
 
     def noting_places(draw):
