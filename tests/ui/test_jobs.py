@@ -18,6 +18,7 @@ from gsrain_engine.training.settings import load_settings
 from small_scene import small_scene
 from training.drive_capture import drive_capture, world_depth
 from ui.commands.keys import chord
+from ui.panels import jobs as jobs_panels
 from window_driver import imgui
 
 PANEL = "//Make it rainy/"
@@ -284,7 +285,13 @@ def test_a_clip_is_recorded_while_the_window_goes_on(driver, tmp_path, monkeypat
         editor.render_queue.record_to(tmp_path / name)
     other, third, fourth = editor.jobs.all[1:]
     assert editor.jobs.waiting == [third, fourth]
+    driver.ctx.window_focus("//Log")  # in front of *Jobs*, which has the same buttons
     driver.tap("//**/###list jobs")
+    run_next, cancel = (driver.area(f"//**/{button}")[0] for button in ("Run next##3", "Cancel##1"))
+    monkeypatch.setattr(jobs_panels, "_metrics", lambda _job: imgui.dummy(imgui.ImVec2(1, 100)))
+    driver.frames(2)  # what the running one reports grows, and moves no button
+    assert np.array_equal(driver.area("//**/Run next##3")[0], run_next)
+    assert np.array_equal(driver.area("//**/Cancel##1")[0], cancel)
     driver.tap("//**/Run next##3")
     assert editor.jobs.waiting == [fourth, third]
     driver.tap("//**/Cancel##2")

@@ -16,10 +16,11 @@ from ..widgets.text import visible_name
 
 
 def jobs_panel(viewport: ViewportState, jobs: JobRunner) -> None:
+    """Draw all jobs, the newest first, so that what a running one reports moves no button of those that wait."""
     if not jobs.all:
         imgui.text_wrapped("No background jobs. The panels Wet look, Capture, Drive and Record start jobs.")
     ended = [each for each in reversed(jobs.all) if not each.is_pending]
-    for job in [*jobs.pending, *ended]:
+    for job in [*reversed(jobs.waiting), *reversed(jobs.running), *ended]:
         imgui.separator_text(job.title)
         job_fields(viewport, jobs, job)
     if ended and imgui.button("Clear", (-1, 0)):
@@ -45,6 +46,9 @@ def job_fields(viewport: ViewportState, jobs: JobRunner, job: Job[Any]) -> None:
             job.cancel()
     elif job.state == "running":
         imgui.progress_bar(job.progress.fraction, (-1, 0), f"{100 * job.progress.fraction:.0f} %")
+        help_text = "Stop the job; the scene does not change, and a video recorded so far can be played."
+        if button(f"Cancel##{number}", help_text, width=-1):
+            job.cancel()
         imgui.text_wrapped(job.progress.message)
         faint(job.progress.note)
         _metrics(job)
@@ -54,9 +58,6 @@ def job_fields(viewport: ViewportState, jobs: JobRunner, job: Job[Any]) -> None:
             width = min(imgui.get_content_region_avail().x, _MAX_PREVIEW_EM * imgui.get_font_size() * aspect)
             imgui.image(imgui.ImTextureRef(preview.name), ImVec2(width, width / aspect))
             imgui.set_item_tooltip("Latest result of the job.")
-        help_text = "Stop the job; the scene does not change, and a video recorded so far can be played."
-        if button(f"Cancel##{number}", help_text, width=-1):
-            job.cancel()
     elif job.state == "failed":
         imgui.text_colored(WARNING, "Failed")
         imgui.text_wrapped(job.error or "")
