@@ -18,8 +18,8 @@ class SceneSetup:
         """True while the bar with the steps is displayed."""
 
     def enter(self, scene: Scene) -> None:
-        """Open the bar for a scene that has just been opened, if its file holds no unit."""
-        self.is_open = scene.unit_is_assumed and scene.gaussian_count > 0
+        """Open the bar for a scene that has just been opened, if its file holds no unit and no window has saved it."""
+        self.is_open = scene.unit_is_assumed and scene.gaussian_count > 0 and scene.view is None
 
     @property
     def axis(self) -> Axis | None:

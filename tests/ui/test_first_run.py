@@ -65,6 +65,16 @@ def test_a_file_of_gaussians_becomes_a_rainy_scene_in_four_actions(driver, tmp_p
     driver.tap("//**/###close set-up")
     assert not editor.scene_setup.is_open
 
+    # What was saved then opens without it, whatever is still assumed.
+    saved = tmp_path / "saved"
+    editor.files.save_to(saved)
+    driver.until(lambda: editor.busy is None)
+    for path, is_open in ((file, True), (saved, False)):
+        editor.files.open_now(str(path))
+        driver.until(lambda: editor.busy is None)
+        driver.frames(3)
+        assert editor.document.scene.unit_is_assumed and editor.scene_setup.is_open == is_open
+
 
 def test_the_hint_of_three_steps_ends_for_good(driver, tmp_path):
     editor = driver.editor
