@@ -194,6 +194,8 @@ class BrowserViewer:
         if not self._ended.is_set():
             with _silence():
                 self._server.stop()
+            with self._changed:
+                self._browsers.clear()  # viser reports those that leave later, if it does
             self._ended.set()
         atexit.unregister(self.close)
 
@@ -263,6 +265,8 @@ class BrowserViewer:
 
     def _connect(self, client: Any) -> None:
         with self._changed:
+            if self._is_ending:
+                return
             if len(self._browsers) >= self._limit:
                 client.add_notification(
                     "Too many browsers", f"{self._limit} show this page already: close one, and load it again.",

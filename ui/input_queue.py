@@ -22,6 +22,7 @@ import glfw  # isort: skip
 
 _MODIFIERS = range(glfw.KEY_LEFT_SHIFT, glfw.KEY_RIGHT_SUPER + 1)
 _Type = imgui.internal.InputEventType
+_DOUBLE_CLICK_S = 0.4  # between the presses, as in GTK and Qt
 _OPENING_FRAMES = 4  # after a press, in which a dialog opens, a text field in it appears, and gets the focus
 
 
@@ -31,6 +32,7 @@ class InputQueue:
     def __init__(self, window: Any) -> None:
         """`window` is GLFW's, with the callbacks of Dear ImGui."""
         self._window = window
+        imgui.get_io().mouse_double_click_time = _DOUBLE_CLICK_S
         self._ends = deque[int]()
         """Ids of the events that are the last of their frames."""
         self._presses = dict[int, tuple[int, bool]]()

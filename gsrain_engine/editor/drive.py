@@ -38,7 +38,7 @@ from .viewport_state import ViewportState
 
 logger = logging.getLogger("gsrain")
 _VIDEO_FPS = (1.0, 60.0)
-_MAX_ROLLOUTS = 12  # maximum number of open roll-outs; the oldest is closed first
+_MAX_ROLLOUTS = 12  # number of open roll-outs from which on older ones are closed, unless they were not saved
 
 
 class RolloutPlayer:
@@ -104,7 +104,9 @@ class RolloutPlayer:
         self._tasks.start(lambda: [load_rollout(path)], self._open, fail)
 
     def _open(self, found: list[LoadedRollout], *, plays: bool = True) -> None:
-        self.opened = [*self.opened, *found][-_MAX_ROLLOUTS:]
+        opened = [*self.opened, *found]
+        too_old = [each for each in opened[:-_MAX_ROLLOUTS] if each.path is not None]
+        self.opened = [each for each in opened if each not in too_old]
         if plays:
             self.play(found[-1])
         for each in found:
@@ -231,15 +233,25 @@ class RolloutPlayer:
         self._playback.clock.playing = False
         self.seek(time_s)
 
-    def close(self, opened: LoadedRollout) -> None:
-        """Close a roll-out; the scene returns after the last playing one."""
-        self.opened = [each for each in self.opened if each is not opened]
-        if opened is self.playing:
-            self._stop()
-            if self.opened:
+    def close(self, *closed: LoadedRollout) -> None:
+        """Close roll-outs, after asking about unsaved ones; another one plays then, or else the scene returns."""
+
+        def act() -> None:
+            self.opened = [each for each in self.opened if each not in closed]
+            if not self.opened:
+                self.drop_all()
+            elif self.playing not in self.opened:
                 self.play(self.opened[-1])
 
+        unsaved = [each.title for each in closed if each.path is None]
+        self._files.confirm_losing(unsaved, "close it" if len(unsaved) == 1 else "close them", act)
+
     def close_all(self) -> None:
+        """Close all roll-outs, after asking about unsaved ones."""
+        self.close(*self.opened)
+
+    def drop_all(self) -> None:
+        """Close all roll-outs without asking, because their scene goes."""
         self.opened = []
         if self.playing is not None:
             self._stop()
@@ -284,6 +296,11 @@ class RolloutPlayer:
         """Scene for the rig's cameras: without the body of the ego vehicle."""
         shown = self.placed_in(scene)
         return scene if shown is None else shown.scene(scene, with_ego=False)
+
+    @property
+    def shows_rain(self) -> bool:
+        """True while the viewport has the rain of the playing roll-out instead of the document's."""
+        return self._placed is not None and self.rain_as_driven
 
     def rainfall(self, *, roofs: bool) -> RainSimulation | None:
         """Rain of the playing roll-out, under roofs if they are known; None to use the document's rain."""

@@ -96,7 +96,7 @@ class Editor:
     def _enter(self, opened: LoadedDocument) -> None:
         """Switch to an opened document."""
         self.jobs.leave_scene()
-        self.rollouts.close_all()
+        self.rollouts.drop_all()
         scene = opened.scene
         rain = rain_of(scene) or rain_around(scene, self.document.rain)
         state = DocumentState(scene, rain, keyframes_of(scene) or NO_KEYFRAMES)

@@ -2,7 +2,7 @@
 
 import logging
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -100,6 +100,9 @@ class Files:
         """Action that waits until jobs and files have ended."""
         self._work, self._other = ThreadTasks(thread), ThreadTasks(thread)
         """Imports, saves and exports, which the user may wait for; and the rest."""
+        self._reading = ThreadPoolExecutor(2, thread_name_prefix="opening")
+        self._openings = ThreadTasks(self._reading)
+        """Opening does not wait for one that it supersedes, which can't be stopped."""
         self._opening: ThreadTask[LoadedDocument] | None = None
         self._arriving: LoadedDocument | None = None
         self._saving: ThreadTask[FileFingerprint | None] | None = None
@@ -140,10 +143,11 @@ class Files:
 
     @property
     def pending(self) -> list[Future[Any]]:
-        return [*self._other.futures, *self._work.futures, *self.recovery.pending]
+        return [*self._openings.futures, *self._other.futures, *self._work.futures, *self.recovery.pending]
 
     def poll(self) -> None:
         """Process finished reads and writes. Once a frame."""
+        self._openings.poll()
         self._other.poll()
         self._work.poll()
         self.recovery.poll()
@@ -152,6 +156,7 @@ class Files:
         """Finish pending writes. Removes the autosave, unless there are unsaved changes."""
         if self._opening is not None:
             self._opening.cancel()
+        self._reading.shutdown(wait=False, cancel_futures=True)
         self.recovery.close(is_saved=not self.has_changes)
 
     # Opening
@@ -191,7 +196,7 @@ class Files:
             if Path(label) in self.recent and not Path(label).exists():
                 self._update_recent(Path(label), add=False)
 
-        self._opening = self._other.start(read, stage, fail, message=f"Opening {label}")
+        self._opening = self._openings.start(read, stage, fail, message=f"Opening {label}")
         self._viewport.is_reading = True
 
     def _ask_about_capture(self, error: NotASceneError) -> None:
@@ -237,8 +242,8 @@ class Files:
         """
 
         def when_saved() -> None:
-            name = self.title
-            if not self.has_changes:
+            name, is_empty = self.title, self.source is None and not self._document.scene.members
+            if is_empty or not self.has_changes:
                 without_results()
                 return
             save = Answer("Save", lambda: self.save(without_results), f"Save {name}, then {what}.")
@@ -246,20 +251,23 @@ class Files:
             self._ask("Unsaved changes", f"Save the changes of {name} before you {what}?", save, lose)
 
         def without_results() -> None:
-            results = self.loose_results()
-            if not results:
-                act()
-                return
-            one = len(results) == 1
-            listed = "".join(f"\n  -  {each}" for each in results)
-            text = (
-                f"{'This roll-out was' if one else 'These roll-outs were'} not saved, and {'is' if one else 'are'} "
-                f"lost if you {what}:\n{listed}\n\nTo save one, choose Save as... in the Drive panel."
-            )
-            lose = Answer(f"Lose {'it' if one else 'them'}", act, f"Lose the roll-outs and {what}.")
-            self._ask("Roll-outs that were not saved", text, lose, enter_answers=False)
+            self.confirm_losing(self.loose_results(), what, act)
 
         self._when_idle(what, when_saved, ends_program=ends_program)
+
+    def confirm_losing(self, rollouts: Sequence[str], what: str, act: Callable[[], None]) -> None:
+        """Call `act`, after asking if it loses roll-outs that were not saved, of which these are the titles."""
+        if not rollouts:
+            act()
+            return
+        one = len(rollouts) == 1
+        listed = "".join(f"\n  -  {each}" for each in rollouts)
+        text = (
+            f"{'This roll-out was' if one else 'These roll-outs were'} not saved, and {'is' if one else 'are'} "
+            f"lost if you {what}:\n{listed}\n\nTo save one, choose Save as... in the Drive panel."
+        )
+        lose = Answer(f"Lose {'it' if one else 'them'}", act, f"Lose the roll-outs and {what}.")
+        self._ask("Roll-outs that were not saved", text, lose, enter_answers=False)
 
     def _when_idle(self, what: str, act: Callable[[], None], *, ends_program: bool = False) -> None:
         jobs = [each for each in self._jobs.pending if ends_program or each.ends_with_scene]

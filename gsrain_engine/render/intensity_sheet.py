@@ -29,7 +29,7 @@ _PAPER, _INK, _FAINT, _MARK = (24, 25, 28), (232, 232, 236), (170, 172, 180), (2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SheetCell:
-    """One view in one rain, and its difference from the same view without rain."""
+    """One view in one rain, and its difference from the same view at 0 mm/h."""
 
     view: str
     intensity_mm_h: float
@@ -69,22 +69,25 @@ def write_sheet(
     """Render the first frame of each view (`sequences` by name) in each intensity, and write the sheet.
 
     Each image is the one that `export_frames` writes of the view in that rain. Apart from their intensity, whose
-    keyframes do not count, all have the rain, keyframes and seed of the view. Changes are those from the scene as it
-    is, dry.
+    keyframes do not count, all have the rain, keyframes and seed of the view. Changes are those from 0 mm/h, which has
+    the fog and the glass of the others.
 
     Yields progress before each image, and returns the cells. Raises OSError if the sheet can't be written.
     """
     cells: list[SheetCell] = []
     count = len(sequences) * len(intensities_mm_h)
     skies: dict[float, SkyColor] = {}
-    for view, sequence in sequences.items():
-        clear = sequence.image(renderer, 0, None)
-        for intensity in intensities_mm_h:
+    for view in sequences:
+        clear = None
+        for intensity in (0.0, *intensities_mm_h):
             yield Progress(len(cells) / count, f"{view} {intensity:g} mm/h".lstrip())
             rainy = {name: _in_rain(each, intensity_mm_h=intensity) for name, each in sequences.items()}
             if intensity not in skies:
                 skies[intensity] = common_sky(renderer, rainy)
-            cells.append(_cell(renderer, rainy[view], view, skies[intensity], clear))
+            if clear is None:
+                clear = rainy[view].image(renderer, 0, skies[intensity])
+            else:
+                cells.append(_cell(renderer, rainy[view], view, skies[intensity], clear))
     write_image(path, Image.fromarray(intensity_sheet(cells)))
     return cells
 

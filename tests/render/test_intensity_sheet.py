@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 from PIL import Image
@@ -23,8 +24,8 @@ from small_scene import small_scene
 SIZE = 160, 120
 
 
-def cells_of(intensities, path):
-    scene, rain = small_scene(), load_preset("8.5")
+def cells_of(intensities, path, **changes):
+    scene, rain = small_scene(), msgspec.structs.replace(load_preset("8.5"), **changes)
     sequence = FrameSequence(scene, RainSimulation.start(rain), default_path(scene, *SIZE), *SIZE, start_s=1.0)
     return run_to_end(write_sheet(CpuRenderer(), {"front": sequence, "rear": sequence}, intensities, path))
 
@@ -40,6 +41,14 @@ def test_harder_rain_changes_more_and_no_rain_nothing(tmp_path):
     assert light.streaks_drawn < heavy.streaks_drawn and 0 < heavy.visible_streaks <= heavy.streaks_drawn
     for own, other in zip((clear, light, heavy), others, strict=True):
         np.testing.assert_array_equal(own.image, other.image)
+
+
+def test_fog_is_no_change_by_rain(tmp_path):
+    clear, light = cells_of([0.0, 2.0], tmp_path / "clear.png")[:2]
+    dry, foggy = cells_of([0.0, 2.0], tmp_path / "fog.png", visibility_m=50.0)[:2]
+    assert np.abs(dry.image.astype(int) - clear.image).mean() > 2 * light.mean_change  # fog is far more than that
+    assert (dry.mean_change, dry.visible_share) == (0, 0)
+    assert 0 < foggy.mean_change < 2 * light.mean_change
 
 
 def test_each_image_is_the_still_of_the_scene_in_that_rain(tmp_path, monkeypatch):

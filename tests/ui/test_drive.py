@@ -1,5 +1,7 @@
 """Driving in the real window: from the panel, a roll-out that plays, plots that are clicked, the rig's cameras."""
 
+from dataclasses import replace
+
 import msgspec
 import numpy as np
 import pytest
@@ -91,6 +93,29 @@ def test_a_rollout_that_was_dropped_plays_and_goes_away_again(driver, rollout):
     driver.frames()
     assert driver.editor.viewport.chase.mode == "free"
     assert not np.allclose(editor.viewport.navigation.camera(90, 60).world_to_camera, front)
+    # Its own rain is not the panel's, which says so; what was not saved is not closed without a question.
+    driver.tap(f"{driver.panel('Rain')}Show this rain")
+    assert not drives.shows_rain and not driver.ctx.item_exists("//Rain/Show this rain")
+    saved = drives.playing
+    drives.opened = [drives.playing, replace(saved, path=None)]
+    drives.play(drives.opened[-1])
+    driver.until(lambda: drives.playing is drives.opened[-1] and not drives.is_working)
+    editor.viewport.chase.begin("front camera")
+    for answer in ("Cancel", "Lose it"):
+        editor.rollouts.close_all()
+        assert editor.status.question.text.count("crash") == 1
+        driver.frames(3)
+        driver.tap(f"//{editor.status.question.title}/{answer}")
+        assert len(drives.opened) == (2 if answer == "Cancel" else 0)
+    assert drives.playing is None
+    drives.opened = [saved, replace(saved)]
+    drives.play(saved)
+    driver.until(lambda: drives.playing is saved and not drives.is_working)
+    editor.viewport.chase.begin("front camera")
+    drives.close(saved)
+    driver.until(lambda: drives.playing in drives.opened and not drives.is_working)
+    assert editor.viewport.chase.mode == "front camera"
+    driver.panel("Drive")
     driver.tap("//Drive/**/###close")
     assert (drives.playing, editor.document.history.cursor, editor.files.has_changes) == (None, 0, False)
     editor.playback.clock.seek(0.0)

@@ -7,6 +7,7 @@ import msgspec
 from imgui_bundle import icons_fontawesome_6, imgui
 
 from gsrain_engine.editor.document import Document
+from gsrain_engine.editor.drive import RolloutPlayer
 from gsrain_engine.editor.jobs.job import JobRunner
 from gsrain_engine.editor.lamps import LampFinder
 from gsrain_engine.editor.live_rain import LiveRain
@@ -60,8 +61,11 @@ _NO_WET_COLORS = "The scene has no wet colors yet: create them in the Wet look p
 
 def rain_panel(
     document: Document, viewport: ViewportState, playback: Playback, live_rain: LiveRain, status: StatusBus,
-    lamps: LampFinder, jobs: JobRunner,
+    lamps: LampFinder, jobs: JobRunner, rollouts: RolloutPlayer,
 ) -> None:  # fmt: skip
+    if rollouts.shows_rain:
+        warn("A roll-out plays, in the rain of its drive.")
+        rollouts.rain_as_driven = not button("Show this rain", "Play the roll-out in the rain of this panel instead.")
     _presets(document)
     _intensity(document, viewport, playback, live_rain)
     _exposure(document, viewport, playback)

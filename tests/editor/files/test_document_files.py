@@ -1,6 +1,7 @@
 """Opening, saving and questions before changes are lost, without a window."""
 
 import json
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -8,8 +9,10 @@ import pytest
 
 from editor.driven import driven, settled
 from editor.files.open_document import HeldJob, answer, delete_every_third, full_disk, keep_now, names_in, settle
+from gsrain_engine.editor import files
 from gsrain_engine.editor.background_edits import reconstruct
 from gsrain_engine.editor.document import Recipe
+from gsrain_engine.editor.drawing.frame import DrawResult
 from gsrain_engine.editor.edits.members import replace_scene
 from gsrain_engine.editor.job_results import scene_results
 from gsrain_engine.editor.jobs.drive import load_rollout
@@ -65,6 +68,32 @@ def test_a_document_is_called_as_its_folder(editor, tmp_path):
     editor.files.open_now(str(tmp_path / "wet crossing"))
     settle(editor)
     assert (editor.files.title, editor.document.scene.name) == ("wet crossing", answered)
+
+
+def test_opening_does_not_wait_for_what_is_no_longer_wanted(editor, tmp_path, monkeypatch):
+    write_scene(small_scene("lane"), tmp_path / "lane")
+    read, is_over = files.load_document, threading.Event()
+    monkeypatch.setattr(files, "load_document", lambda path: is_over.wait(60) if path == "slow" else read(path))
+    try:
+        editor.files.open_now("slow")
+        editor.files.open_now(str(tmp_path / "lane"))
+        editor.files.pending[1].result(timeout=30)
+        editor.tick(0.0)
+        editor.apply(DrawResult(editor.render_input(96, 64), is_pending_ready=True))
+        assert editor.files.title == "lane"
+    finally:
+        is_over.set()
+    settle(editor)
+    assert (editor.files.title, editor.status.problem) == ("lane", None)
+
+
+def test_rain_without_a_scene_is_nothing_to_save(sessions, home):
+    editor = sessions()
+    editor.document.change_rain("Intensity", intensity_mm_h=7.5)
+    editor.files.open(str(home))
+    assert editor.status.question is None
+    settle(editor)
+    assert editor.files.title == "crossing"
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".splat", ".spz"])
