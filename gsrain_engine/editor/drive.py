@@ -72,6 +72,8 @@ class RolloutPlayer:
     @property
     def why_not(self) -> str | None:
         """Reason why no drive can start now, or None."""
+        if not self._document.scene.members:
+            return "No scene is open."
         if self._document.scene.ego is None:
             return (
                 "This scene has no recorded drive, and so no route to take: let the ego drive along a camera path "
