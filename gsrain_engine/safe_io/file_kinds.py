@@ -117,6 +117,11 @@ FILE_KINDS = (
         _OBJECT,
         holds=(b'"geometricerror"', b'"root"'),
     ),
+    FileSignature(
+        "the settings of SuperSplat's viewer: give the scene that it shows",
+        _OBJECT,
+        holds=(b'"tonemapping"', b'"camera'),
+    ),
     FileSignature(_CAMERA_PATH, _OBJECT, holds=(b'"camera_path"', b'"camera_type"'), is_used=True),
     FileSignature(_CAMERA_PATH, _OBJECT, holds=(b'"keyframes"', b'"quaternion_wxyz"'), is_used=True),
     FileSignature(

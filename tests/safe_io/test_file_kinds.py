@@ -78,6 +78,10 @@ FILES = {
     "scene.mvs": (lambda file: written(file, b"MVSI\6\0\0\0" + bytes(40)), "InterfaceCOLMAP writes them"),
     "bundle.out": (lambda file: written(file, b"# Bundle file v0.3\n2 9\n"), "poses of Bundler"),
     "scan.nvm": (lambda file: written(file, b"NVM_V3\n\n2\n"), "poses of VisualSFM"),
+    "settings.json": (
+        lambda file: written(file, b'{"version": 2, "tonemapping": "none", "cameras": []}'),
+        "the settings of SuperSplat's viewer",
+    ),
     "desk.txt": (lambda file: written(file, b"# a desk\n# timestamp tx ty tz qx qy qz qw\n1 0 0\n"), "of TUM RGB-D"),
     "data.csv": (lambda file: written(file, b"#timestamp, p_RS_R_x [m], p_RS_R_y [m]\n1,2,3\n"), "trajectory of EuRoC"),
     "open3d.json": (lambda file: written(file, b'{"class_name": "PinholeCameraTrajectory"}'), "trajectory of Open3D"),
