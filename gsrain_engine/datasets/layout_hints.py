@@ -2,9 +2,8 @@
 
 from itertools import islice
 from pathlib import Path
-from typing import NamedTuple
 
-from ..safe_io.limits import open_file
+from ..safe_io.file_kinds import find_file_kind
 from ..scene.formats.scene_files import scene_files_in
 from .bags.containers import MCAP, METADATA, SQLITE
 from .capture import abbreviated_names
@@ -110,65 +109,27 @@ _ADVICE = {
 }
 
 
-class _PoseFile(NamedTuple):
-    """File with camera poses of another program, which is not read."""
-
-    program: str
-    patterns: str
-    marks: tuple[bytes, ...]
-    """Alternative words of its first bytes; empty if its name is enough."""
-    advice: str
-
-
-_MARKED_BYTES, _MARKED_FILES = 4096, 20  # first bytes of the first files of a pattern
-_PROCESS = "nerfstudio's ns-process-data {0} makes a capture of both"
+_LISTED_FILES = 20  # first files of a pattern that are looked into
 _POSE_FILES = (
-    _PoseFile("RealityCapture", "*.csv", (b"#name,x,y,alt", b"#name;x;y;alt"), _PROCESS.format("realitycapture")),
-    _PoseFile("RealityCapture", "*.xmp", (b"capturingreality", b"xcr:"), "export them as COLMAP's text files"),
-    _PoseFile("Metashape", "*.xml", (b"<document version",), _PROCESS.format("metashape")),
-    _PoseFile(
-        "Polycam",
-        "corrected_cameras/*.json cameras/*.json keyframes/corrected_cameras/*.json keyframes/cameras/*.json",
-        (b'"t_00"',),
-        _PROCESS.format("polycam"),
-    ),
-    _PoseFile("Record3D", "metadata", (b'"poses"',), _PROCESS.format("record3d")),
-    _PoseFile("OpenSfM", "reconstruction.json opensfm/reconstruction.json", (), _PROCESS.format("odm")),
-    _PoseFile("OpenMVG", "sfm_data.json", (b"sfm_data_version",), "openMVG_main_openMVG2Colmap writes COLMAP's files"),
-    _PoseFile("Meshroom", "cameras.sfm *.sfm", (), "export them as COLMAP's text files"),
-    _PoseFile("Bundler", "bundle.out *.nvm", (b"# bundle file", b"nvm_v3"), "export them as COLMAP's text files"),
-    _PoseFile(
-        "MMDetection3D",
-        "*.pkl",
-        (b"\x80",),
-        "info files are read of nuScenes, with samples/ or pictures named by camera beside them",
-    ),
+    "*.csv *.xmp *.xml corrected_cameras/*.json cameras/*.json keyframes/corrected_cameras/*.json "
+    "keyframes/cameras/*.json metadata reconstruction.json opensfm/reconstruction.json sfm_data.json *.sfm *.mvs "
+    "bundle.out *.nvm *.pkl"
 )
+"""Patterns of files that may have poses of other programs."""
 
 
 def foreign_poses(path: Path) -> str | None:
     """Files with poses of other programs in a folder, or next to the folder of pictures that it is."""
     for folder in (path, path.resolve().parent) if path.name.lower() in _PICTURE_FOLDERS else (path,):
-        for kind in _POSE_FILES:
-            for pattern in kind.patterns.split():
-                files = islice(sorted(folder.glob(pattern)), _MARKED_FILES)
-                found = next((file for file in files if _has_mark(file, kind.marks)), None)
-                if found is not None:
-                    name = found.relative_to(folder).as_posix()
-                    return f"{name} has poses of {kind.program}, which are not read: {kind.advice}"
+        for pattern in _POSE_FILES.split():
+            for file in islice(sorted(folder.glob(pattern)), _LISTED_FILES):
+                kind = find_file_kind(file)
+                if kind is not None and kind.has_poses:
+                    return f"{file.relative_to(folder).as_posix()} has {kind.words}"
     return None
 
 
 _PICTURE_FOLDERS = ("images", "image", "input", "corrected_images", "rgb", "photos")
-
-
-def _has_mark(file: Path, marks: tuple[bytes, ...]) -> bool:
-    try:
-        with open_file(file) as stream:
-            start = stream.read(_MARKED_BYTES).lower()
-    except OSError:
-        return False
-    return not marks or any(mark in start for mark in marks)
 
 
 def nearest_layout(path: Path) -> str | None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ..plugins import CAPTURE_FORMATS, Extension, load_extensions, warn_once
-from ..safe_io.file_kinds import kind_of_file
+from ..safe_io.file_kinds import find_file_kind, kind_of_file
 from ..scene.files import visible_siblings
 from ..scene.formats.registry import format_of
 from .bags.containers import recognizes_bag
@@ -86,6 +86,8 @@ def open_capture(path: Path | str, *, allow_outside: bool | None = None) -> Capt
 def capture_format(path: Path | str) -> CaptureFormat | None:
     """Format of the capture at a path; None if unknown."""
     path = Path(path)
+    if path.is_file() and (kind := find_file_kind(path)) is not None and kind.is_stand_in:
+        return None
     able = _formats() if path.exists() else tuple(each for each in _formats() if each.names_inside)
     try:
         return next((each for each in able if each.recognizes(path)), None)

@@ -44,6 +44,7 @@ _Cloud = tuple[Float64[np.ndarray, "p 3"], Float32[np.ndarray, " p"]]
 # First release: one TFRecord file of frames for each segment of a drive
 
 _SUFFIXES = (".tfrecord", ".tfrecords")
+_OTHERS = "of another data set, such as Waymo Motion"
 
 
 def recognizes_waymo_records(path: Path) -> bool:
@@ -86,7 +87,7 @@ class _RecordSegment:
                 raise CaptureError(str(error) if file.name in str(error) else f"{file}: {error}") from None
             self.log.problems.append(f"{error}; the {len(self.frames)} frames before are used")
         if not self.frames:
-            raise CaptureError(f"{file}: no frame in it")
+            raise CaptureError(f"{file}: no frame of Waymo Perception in it: it may be {_OTHERS}")
         self.log.name = self.name or file.stem
         self.log.stamps = self.log.stamps or [(time, pose) for _, time, pose in self.frames]
         self.log.scans, self.log.scan_count = self._scans(), self.frames_with_lidar
@@ -607,8 +608,8 @@ def parsed(message: str, content: bytes) -> Any:
     found = kind()
     try:
         found.ParseFromString(content)
-    except Exception as error:  # DecodeError, whose module is not imported here
-        raise CaptureError(f"not a message of Waymo's ({error})") from None
+    except Exception:  # DecodeError, whose module is not imported here
+        raise CaptureError(f"not a record of Waymo Perception: it is damaged, or {_OTHERS}") from None
     return found
 
 

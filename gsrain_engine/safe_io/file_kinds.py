@@ -21,8 +21,14 @@ class FileSignature(NamedTuple):
     """Words of the first bytes, all of them, in lower case; fields of JSON stand in quotes."""
     suffixes: tuple[str, ...] = ()
     """Suffixes of rightly named files of the kind."""
+    named: tuple[str, ...] = ("",)
+    """Alternative suffixes without which a file is not of the kind, for content that tells too little."""
     is_used: bool = False
     """True if a command other than `info` takes such a file; the advice names it."""
+    is_stand_in: bool = False
+    """True if it takes the place of a file that is missing, under the name of that file."""
+    has_poses: bool = False
+    """True if it has camera poses of another program, which are not read."""
 
 
 _IMAGE = "a picture: give the folder that it is in"
@@ -36,18 +42,64 @@ _CHECKPOINT = (
 )
 _CAMERA_PATH = "a camera path: gsrain render SCENE --camera-path FILE -o VIDEO.mp4"
 _COLMAP = "a part of a COLMAP model: give the folder that images and sparse are in"
+_UNREAD_POSES = "which is not read: write its poses as those of COLMAP or nerfstudio"
+_LINEAR = "a picture in linear light (HDR), such as an environment map: convert it to JPEG or PNG"
 _ZIP = (b"pk\x03\x04",)
 _OBJECT = (b"{",)
 _PICKLE = (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05")  # the protocol follows the first byte
+
+
+def _poses(
+    program: str, advice: str, *starts: bytes, holds: tuple[bytes, ...] = (), named: tuple[str, ...] = ("",)
+) -> FileSignature:
+    words = f"poses of {program}, which are not read: {advice}"
+    by_name = not starts and not holds
+    return FileSignature(words, starts, holds=holds, suffixes=named if by_name else (), named=named, has_poses=True)
+
+
+_PROCESS = "nerfstudio's ns-process-data {0} makes a capture of them and their pictures"
+_TO_COLMAP = "{0} writes them as COLMAP's files"
+_OPENSFM = f"{_TO_COLMAP.format('opensfm export_colmap')}, and nerfstudio's ns-process-data odm reads ODM's projects"
+_ANEW = "run COLMAP on their pictures"
+
+_POSES = (
+    _poses("RealityCapture", _PROCESS.format("realitycapture"), holds=(b"#name,x,y,alt",)),
+    _poses("RealityCapture", _PROCESS.format("realitycapture"), holds=(b"#name;x;y;alt",)),
+    _poses("RealityCapture", "export them as COLMAP's text files", holds=(b"xcr:",), named=(".xmp",)),
+    _poses("Metashape", _PROCESS.format("metashape"), holds=(b"<document version", b"<chunk")),
+    _poses("Polycam", _PROCESS.format("polycam"), *_OBJECT, holds=(b'"t_00"',)),
+    _poses("Record3D", _PROCESS.format("record3d"), *_OBJECT, holds=(b'"poses"',), named=("metadata",)),
+    _poses("OpenSfM", _OPENSFM, b"[", holds=(b'"cameras"', b'"shots"')),
+    _poses("OpenSfM", _OPENSFM, named=("reconstruction.json",)),
+    _poses("OpenMVG", _TO_COLMAP.format("openMVG_main_openMVG2Colmap"), *_OBJECT, holds=(b"sfm_data_version",)),
+    _poses("Meshroom", _TO_COLMAP.format("aliceVision_exportColmap"), *_OBJECT, holds=(b'"views"', b'"intrinsicid"')),
+    _poses("Meshroom", _TO_COLMAP.format("aliceVision_exportColmap"), named=(".sfm",)),
+    _poses("OpenMVS", _TO_COLMAP.format("InterfaceCOLMAP"), b"mvsi"),
+    _poses("Bundler", _ANEW, b"# bundle file"),
+    _poses("VisualSFM", _ANEW, b"nvm_v3"),
+    _poses(
+        "MMDetection3D",
+        "info files are read of nuScenes, with samples/ or pictures named by camera beside them",
+        *_PICKLE,
+        named=tuple(f"infos{part}.pkl" for part in ("", "_train", "_val", "_trainval", "_test")),
+    ),
+)
+"""Files with camera poses of other programs."""
 
 FILE_KINDS = (
     # text and pointers
     FileSignature("a bag of ROS 1: rosbags-convert turns it into one of ROS 2", (b"#rosbag v",), suffixes=(".bag",)),
     FileSignature("the list of a ROS 2 bag's files: give its folder", (b"rosbag2_bagfile_information",)),
     FileSignature(
-        "a pointer of Git LFS, not the file itself: run git lfs pull where it was cloned", (b"version https://git-lfs",)
+        "a pointer of Git LFS, not the file itself: run git lfs pull where it was cloned",
+        (b"version https://git-lfs",),
+        is_stand_in=True,
     ),
-    FileSignature("a web page, not the file: the download went wrong", (b"<!doctype html", b"<html")),
+    FileSignature(
+        "a web page or an answer of a server, not the file: the download went wrong",
+        (b"<!doctype html", b"<html", b"404: not found", b"not found"),
+        is_stand_in=True,
+    ),
     # cameras, paths and descriptions of scenes, as JSON, XML and text
     FileSignature(
         "the description of a streamed SOG scene: give it as lod-meta.json, in its folder with the parts that it names",
@@ -64,6 +116,11 @@ FILE_KINDS = (
         "a tileset of 3D Tiles, which is not read: give a .glb or .gltf with Gaussians that it names",
         _OBJECT,
         holds=(b'"geometricerror"', b'"root"'),
+    ),
+    FileSignature(
+        "the settings of SuperSplat's viewer: give the scene that it shows",
+        _OBJECT,
+        holds=(b'"tonemapping"', b'"camera'),
     ),
     FileSignature(_CAMERA_PATH, _OBJECT, holds=(b'"camera_path"', b'"camera_type"'), is_used=True),
     FileSignature(_CAMERA_PATH, _OBJECT, holds=(b'"keyframes"', b'"quaternion_wxyz"'), is_used=True),
@@ -94,11 +151,16 @@ FILE_KINDS = (
         "the settings of a 3DGS training: give point_cloud/iteration_N/point_cloud.ply of its folder", (b"namespace(",)
     ),
     FileSignature(_COLMAP, (b"# camera list with one", b"# image list with two", b"# 3d point list with one")),
+    *_POSES,
+    FileSignature(f"a trajectory of TUM RGB-D, {_UNREAD_POSES}", (b"#",), holds=(b"tx ty tz qx qy qz qw",)),
+    FileSignature(f"a trajectory of EuRoC, {_UNREAD_POSES}", (b"#timestamp",), holds=(b"p_rs_r_x",)),
+    FileSignature(f"a trajectory of Open3D, {_UNREAD_POSES}", _OBJECT, holds=(b'"pinholecameratrajectory"',)),
     FileSignature(_COLMAP, suffixes=("cameras.bin", "images.bin", "points3d.bin", "frames.bin", "rigs.bin")),
     FileSignature("a scenario: gsrain drive FILE", holds=(b"<openscenario",), is_used=True),
     FileSignature(
         "a map of roads (OpenDRIVE), which a scenario (.xosc) names: gsrain drive SCENARIO.xosc", holds=(b"<opendrive",)
     ),
+    FileSignature("a map of roads of Argoverse 2, which is not read", _OBJECT, holds=(b'"pedestrian_crossings"',)),
     # archives, the ones with a known content first
     FileSignature("a part of a scene of HUGSIM: give its folder", suffixes=("scene.pth", "ground.pth", "gs.pth")),
     FileSignature("a SOG scene: name it .sog", _ZIP, holds=(b"means_l.webp",), suffixes=(".sog",)),
@@ -121,6 +183,7 @@ FILE_KINDS = (
     FileSignature(_IMAGE, (b"gif87a", b"gif89a"), suffixes=(".gif",)),
     FileSignature(_IMAGE, (b"ii*\0", b"mm\0*"), suffixes=(".tif", ".tiff")),
     FileSignature(_IMAGE, (b"webpvp8",), at=8, suffixes=(".webp",)),
+    FileSignature(_LINEAR, (b"#?radiance", b"#?rgbe", b"v/1\x01")),
     FileSignature(_HEIC, (b"ftyphei", b"ftyphev", b"ftypmif", b"ftypmsf", b"ftypavi"), at=4),
     FileSignature(_VIDEO, (b"ftyp", b"moov", b"mdat"), at=4),
     FileSignature(_VIDEO, (b"\x1a\x45\xdf\xa3",)),
@@ -133,6 +196,7 @@ FILE_KINDS = (
     # other files
     FileSignature("a PDF", (b"%pdf-",)),
     FileSignature("a table of a data set (Parquet): give the data set's folder", (b"par1",)),
+    FileSignature("a table of a data set (Feather), such as Argoverse 2's, which is not read", (b"arrow1",)),
     FileSignature("a database, such as COLMAP's: give the folder with the model (sparse/0)", (b"sqlite format 3",)),
     # by name alone: their first bytes tell nothing
     FileSignature(_CHECKPOINT, suffixes=(".pt", ".ckpt")),
@@ -149,7 +213,7 @@ FILE_KINDS = (
         "a scene of Spark (RAD), which is not read: give the PLY, SPZ or SOG that it was made of", suffixes=(".rad",)
     ),
     FileSignature("a volume of NuRec, which is not read: give a .usdz or PLY of Gaussians", suffixes=(".nurec",)),
-    FileSignature(_MESH, suffixes=(".obj", ".stl", ".fbx", ".dae", ".las", ".laz", ".e57", ".pcd")),
+    FileSignature(_MESH, suffixes=(".obj", ".stl", ".fbx", ".dae", ".las", ".laz", ".e57", ".pcd", ".pts", ".xyz")),
     FileSignature(_VIDEO, suffixes=(".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v")),
 )
 """Kinds in order of precedence: the first row whose conditions a file meets is its kind."""
@@ -193,6 +257,8 @@ def _kind_of(head: bytes, name: str) -> FileSignature | None:
 
 
 def _is_of_kind(head: bytes, text: bytes, name: str, kind: FileSignature) -> bool:
+    if not name.endswith(kind.named):
+        return False
     if not kind.starts and not kind.holds:
         return name.endswith(kind.suffixes)
     start = head[kind.at :] if kind.at else text

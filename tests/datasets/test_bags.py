@@ -212,10 +212,14 @@ def test_topics_that_are_left_out_are_named_with_their_encodings(tmp_path):
     ("messages", "named"),
     [
         (without("/front/camera_info"), r"no calibration \(CameraInfo\) of it is recorded"),
-        (without(IMAGES), "no picture that can be used"),
+        (
+            without(IMAGES),
+            r"no picture that can be used: its topics are .*/front/camera_info \(sensor_msgs/msg/CameraInfo",
+        ),
+        ([], "no picture that can be used: it holds no messages"),
         (circle(), "go round in a circle"),
     ],
-    ids=["calibration", "pictures", "circle"],
+    ids=["calibration", "pictures", "messages", "circle"],
 )
 def test_what_is_missing_is_named(messages, named, tmp_path):
     with pytest.raises(CaptureError, match=named):

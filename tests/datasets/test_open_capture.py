@@ -94,7 +94,7 @@ POSES_OF_OTHERS = {
     "metadata": (b'{"w": 720, "poses": [[0, 0, 0, 1, 0, 0, 0]]}', "Record3D"),
     "reconstruction.json": (b"[{}]", "OpenSfM"),
     "sfm_data.json": (b'{"sfm_data_version": "0.3"}', "OpenMVG"),
-    "scan.nvm": (b"NVM_V3\n\n2\n", "Bundler"),
+    "scan.nvm": (b"NVM_V3\n\n2\n", "VisualSFM"),
     "kitti_infos_train.pkl": (b"\x80\x04]\x94.", "MMDetection3D"),
 }
 

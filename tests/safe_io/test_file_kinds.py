@@ -66,6 +66,34 @@ FILES = {
     "images.txt": (lambda file: written(file, b"# Image list with two lines of data per image:\n"), "COLMAP"),
     "cameras.bin": (lambda file: written(file, bytes(80)), "COLMAP"),
     "town.xodr": (lambda file: written(file, b"\xef\xbb\xbf<?xml?>\n<OpenDRIVE>"), "it is a map of roads"),
+    "cameras.xml": (
+        lambda file: written(file, b'<?xml?>\n<document version="1.5.0">\n<chunk>'),
+        "ns-process-data metashape",
+    ),
+    "shots.json": (
+        lambda file: written(file, b'[{"cameras": {}, "shots": {}}]'),
+        "poses of OpenSfM, which are not read",
+    ),
+    "cameras.sfm": (lambda file: written(file, b'{"version": ["1"], "views": [{"intrinsicId": "3"}]}'), "exportColmap"),
+    "scene.mvs": (lambda file: written(file, b"MVSI\6\0\0\0" + bytes(40)), "InterfaceCOLMAP writes them"),
+    "bundle.out": (lambda file: written(file, b"# Bundle file v0.3\n2 9\n"), "poses of Bundler"),
+    "scan.nvm": (lambda file: written(file, b"NVM_V3\n\n2\n"), "poses of VisualSFM"),
+    "settings.json": (
+        lambda file: written(file, b'{"version": 2, "tonemapping": "none", "cameras": []}'),
+        "the settings of SuperSplat's viewer",
+    ),
+    "desk.txt": (lambda file: written(file, b"# a desk\n# timestamp tx ty tz qx qy qz qw\n1 0 0\n"), "of TUM RGB-D"),
+    "data.csv": (lambda file: written(file, b"#timestamp, p_RS_R_x [m], p_RS_R_y [m]\n1,2,3\n"), "trajectory of EuRoC"),
+    "open3d.json": (lambda file: written(file, b'{"class_name": "PinholeCameraTrajectory"}'), "trajectory of Open3D"),
+    "map.json": (lambda file: written(file, b'{"pedestrian_crossings": {"7": {}}}'), "a map of roads of Argoverse 2"),
+    "lidar.feather": (lambda file: written(file, b"ARROW1\0\0" + bytes(50)), "it is a table of a data set (Feather)"),
+    "beach.hdr": (
+        lambda file: written(file, b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n"),
+        "it is a picture in linear light",
+    ),
+    "beach.exr": (lambda file: written(file, b"v/1\1\2\0\0\0" + bytes(50)), "it is a picture in linear light"),
+    "bunny.pts": (lambda file: written(file, b"2\n0 0 0\n0 0 1\n"), "it is a mesh or a point cloud"),
+    "raw.txt": (lambda file: written(file, b"404: Not Found"), "the download went wrong"),
     "stage.usda": (lambda file: written(file, b"#usda 1.0\n"), "usdzip"),
     "a.safetensors": (lambda file: written(file, bytes(80)), "safetensors"),
 }
@@ -143,6 +171,22 @@ def test_damage_is_named_without_words_of_libraries(tmp_path: Path, name: str, d
             read(file)
         words = ("identify", "BytesIO", "Error -3", "not a zip file", "decompress")
         assert not any(word in str(error.value) for word in words)
+
+
+@pytest.mark.parametrize("name", ["drive.mcap", "drive.db3", "drive.tfrecord"])
+def test_recordings_that_are_pointers_are_named(tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["info", str(written(tmp_path / name, POINTER))]) == BAD_INPUT
+    printed = capsys.readouterr().err
+    assert LFS in printed and "magic" not in printed
+
+
+@pytest.mark.parametrize("name", ["weather.json", "cs700.log", "PW040406.DAT"])
+def test_no_suffix_is_proposed_for_a_file_of_another_kind(
+    tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for command in (["info"], ["render", "-o", str(tmp_path / "out.png")]):
+        assert run([*command, str(written(tmp_path / name, b'{"days": []}'))]) == BAD_INPUT
+        assert "did you mean" not in capsys.readouterr().err
 
 
 def test_a_kind_that_matches_the_name_is_no_error(tmp_path: Path) -> None:

@@ -11,7 +11,16 @@ import numpy as np
 from jaxtyping import UInt8
 
 from ...scene.camera import Camera
-from ..capture import EGO_HEIGHT_M, Capture, CaptureError, CaptureFrame, Lens, LidarSource, LidarSweep
+from ..capture import (
+    EGO_HEIGHT_M,
+    Capture,
+    CaptureError,
+    CaptureFrame,
+    Lens,
+    LidarSource,
+    LidarSweep,
+    abbreviated_names,
+)
 from ..driving_log import DrivingLog, LidarScan
 from ..geometry import OPENCV_FROM_VEHICLE_AXES, Pose, camera_of_image, invert_pose, opencv_camera_of_matrix
 from .containers import BagMessage, Container, Place, Topic, open_bag
@@ -240,7 +249,7 @@ class _Reader:
         vehicle = None if world is None else self._vehicle([chain for chain in chains if chain[-1] == world], world)
         primary = self._add_views(world)
         if not self.log.views:
-            raise CaptureError(f"{self.path}: no picture that can be used" + _because(self.log.problems))
+            raise CaptureError(f"{self.path}: no picture that can be used{self._because()}")
         if world is None or vehicle is None:
             self.log.problems.append(
                 "has no transforms (/tf) and no odometry: cameras have no poses, good for rain on pictures and lidar, "
@@ -262,6 +271,13 @@ class _Reader:
         shown = replace(capture, views=tuple(view for view in capture if view.name in primary))
         others = sorted(self.contents.others - self.untouched.keys(), key=lambda topic: topic.name)
         return BagRecording(shown, self.contents.containers, images, clouds, self.untouched, tuple(others))
+
+    def _because(self) -> str:
+        """Reason why a bag has no pictures, for the end of an error: the last problem, or else its topics."""
+        if self.log.problems:
+            return f" ({self.log.problems[-1]})"
+        topics = sorted({f"{topic.name} ({topic.type})" for topic in (*self.contents.others, *self.contents.clouds)})
+        return f": its topics are {abbreviated_names(topics)}" if topics else ": it holds no messages"
 
     def _chain(self, frame: str) -> list[str]:
         try:
@@ -406,7 +422,3 @@ def _read_colors(container: Container, topic: Topic, place: Place) -> UInt8[np.n
         raise
     except ValueError as error:
         raise CaptureError(f"{container.path}: {topic.name}: {error}") from None
-
-
-def _because(problems: Sequence[str]) -> str:
-    return f" ({problems[-1]})" if problems else ""

@@ -219,7 +219,11 @@ def close_match(name: str, known: Sequence[str]) -> str:
 
 def _slip(path: Path) -> str:
     """Suggest the suffix that a name of no known format may have been meant to have."""
-    return close_match(path.suffix, scene_suffixes()) if format_of(path) is None else ""
+    letters = set(path.suffix.lower())  # a slip swaps, drops or repeats letters: .log is no slip for .sog
+    able = [
+        each for each in scene_suffixes() if each.startswith(".") and (letters <= set(each) or letters >= set(each))
+    ]
+    return close_match(path.suffix, able) if format_of(path) is None else ""
 
 
 def _instead(path: Path) -> str:
