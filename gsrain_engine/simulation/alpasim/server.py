@@ -14,6 +14,7 @@ from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
+from ...malloc_tuning import trim_memory
 from ...safe_io.limits import checked_token, is_same_token
 from .messages import HEALTH_SERVICE, calls, decode_error
 from .simulator import RequestError, Simulator
@@ -30,6 +31,7 @@ RECEIVE_S = 10.0
 
 _GIVES_WAY_S = 1.0  # of receiving, after which the longest one ends for the sake of others
 
+_FREED_S = 5.0  # after a call has ended
 _POLL_S = 0.1  # between looks at whether a waiting client is still there
 _REFUSING = 2  # threads beyond one for each running call, to refuse others at once
 _LARGEST_QUEUE = 1000  # calls that may wait to be refused
@@ -222,6 +224,7 @@ class _Arrivals:
     def __init__(self) -> None:
         self._changed = threading.Condition()
         self._started_s: dict[object, tuple[float, Callable[[], object]]] = {}  # the oldest first
+        self._trimming: threading.Timer | None = None
 
     @contextmanager
     def one(self, give_up: Callable[[], object]) -> Generator[None]:
@@ -242,11 +245,23 @@ class _Arrivals:
         late.start()
         try:
             yield
+        except RequestError:
+            self._trim_later()
+            raise
         finally:
             late.cancel()
             with self._changed:
                 self._started_s.pop(key, None)
                 self._changed.notify()
+
+    def _trim_later(self) -> None:
+        """Return to the system what messages held that never became whole, as soon as gRPC has freed it."""
+        with self._changed:
+            if self._trimming is not None:
+                self._trimming.cancel()
+            self._trimming = threading.Timer(_FREED_S, trim_memory)
+            self._trimming.daemon = True
+            self._trimming.start()
 
 
 def _who(context: Any, label: str) -> str:

@@ -413,6 +413,9 @@ def test_messages_that_never_end_give_way(
     server: SensorsimServer, client: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert status_of(lambda: client.raw("render_rgb", bytes(MAX_REQUEST_BYTES + 1))) == "RESOURCE_EXHAUSTED"
+    trimmed = Event()
+    monkeypatch.setattr("gsrain_engine.simulation.alpasim.server.trim_memory", trimmed.set)
+    monkeypatch.setattr("gsrain_engine.simulation.alpasim.server._FREED_S", 0.0)
     monkeypatch.setattr("gsrain_engine.simulation.alpasim.server._GIVES_WAY_S", 0.0)
     unsent, streams = Event(), client.channel.stream_unary(f"/{SERVICE}/render_rgb")
     silent = [streams.future(iter(unsent.wait, True), timeout=60) for _ in range(2 * RECEIVED_AT_ONCE)]
@@ -420,6 +423,7 @@ def test_messages_that_never_end_give_way(
         assert client.call("get_available_scenes").scene_ids
     wait_for(lambda: sum(each.done() for each in silent) >= RECEIVED_AT_ONCE)
     assert {each.code().name for each in silent if each.done()} == {"CANCELLED"}
+    assert trimmed.wait(60)  # what they held is returned to the system
     monkeypatch.setattr("gsrain_engine.simulation.alpasim.server.RECEIVE_S", 0.0)
     late = client.channel.stream_unary(f"/{SERVICE}/render_rgb").future(iter(unsent.wait, True), timeout=60)
     assert late.exception().code().name == "CANCELLED"
