@@ -41,8 +41,9 @@ class _SegmentTurns:
     def of(cls, times_s: Float64[np.ndarray, " k"], rotations: Callable[..., Any]) -> "_SegmentTurns | None":
         """Fit the cubics; None if one of them turns by more than half a turn, where rotation vectors jump."""
         lengths, back = np.diff(times_s), rotations(times_s[:-1]).inv()
-        third, half, two_thirds, whole = (
-            (back * rotations(times_s[:-1] + part * lengths)).as_rotvec() for part in (1 / 3, 1 / 2, 2 / 3, 1)
+        third, half, two_thirds, whole = (  # rounded, a start with its length can lie behind the end
+            (back * rotations(np.minimum(times_s[:-1] + part * lengths, times_s[1:]))).as_rotvec()
+            for part in (1 / 3, 1 / 2, 2 / 3, 1)
         )
         first = 9 * third - 4.5 * two_thirds + whole
         second = -22.5 * third + 18 * two_thirds - 4.5 * whole

@@ -76,6 +76,15 @@ def test_turns_at_single_times_are_those_at_many(interpolation: str) -> None:
 
 
 @pytest.mark.parametrize("interpolation", ["linear", "spline"])
+def test_a_segment_ends_at_its_key_however_its_length_is_rounded(interpolation: str) -> None:
+    start_s, end_s = 2.4, 7.2
+    assert start_s + (end_s - start_s) > end_s
+    path = replace(path_of(2, interpolation=interpolation), times_s=np.array([start_s, end_s]))
+    last = path.camera(end_s, 9, 6).camera_to_world[:3, :3]
+    np.testing.assert_allclose(last, path.turns(path.times_s)[-1], atol=1e-9)
+
+
+@pytest.mark.parametrize("interpolation", ["linear", "spline"])
 def test_single_turns_of_a_gentle_path_need_no_scipy(interpolation: str, monkeypatch: pytest.MonkeyPatch) -> None:
     path = path_of(interpolation=interpolation)
     expected = path.turns(path.times_s)
