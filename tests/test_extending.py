@@ -66,7 +66,7 @@ def test_scene_formats_are_read_and_written(rain_lab, scene, tmp_path, capsys):
     for name, words in (
         ("scan.pts", "expected 3 points"),
         ("empty.pts", "pts (rain_lab.laser_scan:FORMAT of rain-lab): line"),
-        ("scan.xyz", "meta.json or .pts"),
+        ("scan.lab", "meta.json or .pts"),
     ):
         (tmp_path / name).write_text("nothing\n" if name == "empty.pts" else "3\n1 2 3 0 255 255 255\n")
         error = refused(capsys, "info", tmp_path / name)

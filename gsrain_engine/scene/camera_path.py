@@ -1,5 +1,6 @@
 """Camera paths: keyframes, interpolation of positions, rotations and fields of view, easing, and orbits."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -106,17 +107,28 @@ class PathCurves:
                 _SegmentTurns.of(times_s, turns),
                 splines.make_interp_spline(times_s, fields_of_view, k=1),
             )
-        try:
-            with np.errstate(over="raise", invalid="raise"):
-                turns = turning.RotationSpline(times_s, rotations)
-        except (ArithmeticError, ValueError):  # its search diverges for some very uneven keyframes
-            turns = turning.Slerp(times_s, rotations)
+        turns = _turning_spline(times_s, rotations) or turning.Slerp(times_s, rotations)
         return cls(
             splines.CubicSpline(times_s, positions, bc_type="natural"),
             turns,
             _SegmentTurns.of(times_s, turns),
             splines.PchipInterpolator(times_s, fields_of_view),
         )
+
+
+_LARGEST_TURN = 4 * math.pi  # of a key to a moment before the next one
+
+
+def _turning_spline(times_s: Float64[np.ndarray, " k"], rotations: Any) -> Any:
+    """SciPy's RotationSpline; None where its search diverges, as it does for some very uneven keyframes."""
+    inside = times_s[:-1, None] + np.diff(times_s)[:, None] * [1 / 4, 1 / 2, 3 / 4]
+    try:
+        with np.errstate(over="raise", invalid="raise"):
+            turns = scipy.spatial.transform.RotationSpline(times_s, rotations)
+            largest = np.linalg.norm(turns.interpolator(inside), axis=-1).max()
+    except (ArithmeticError, ValueError):
+        return None
+    return turns if largest < _LARGEST_TURN else None
 
 
 @dataclass(frozen=True, eq=False)

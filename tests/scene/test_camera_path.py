@@ -84,6 +84,20 @@ def test_a_segment_ends_at_its_key_however_its_length_is_rounded(interpolation: 
     np.testing.assert_allclose(last, path.turns(path.times_s)[-1], atol=1e-9)
 
 
+def test_keys_for_which_scipy_finds_no_spline_are_turned_between_evenly() -> None:
+    turns = [
+        [-0.5, 0.323, -0.789, 0.150],
+        [0.442, 0.012, 0.264, 0.857],
+        [0.678, -0.210, 0.677, -0.194],
+        [-0.304, 0.185, 0.432, 0.829],
+    ]
+    keys = {"times_s": np.array([0.0, 0.1, 1.9, 9.3]), "quaternions_wxyz": np.array(turns)}
+    path = replace(path_of(4), **keys)
+    assert np.isfinite(path.turns(np.linspace(0.0, 9.3, 40))).all()
+    found = Rotation.from_matrix(path.turns(np.linspace(1.9, 9.3, 40)))
+    assert (found[1:] * found[:-1].inv()).magnitude().max() < 0.2
+
+
 @pytest.mark.parametrize("interpolation", ["linear", "spline"])
 def test_single_turns_of_a_gentle_path_need_no_scipy(interpolation: str, monkeypatch: pytest.MonkeyPatch) -> None:
     path = path_of(interpolation=interpolation)
