@@ -6,6 +6,7 @@ import msgspec
 import numpy as np
 from jaxtyping import Float64
 
+from ..safe_io.text_files import printable_line
 from ..scene.scene import Scene
 from .agents.base import Rig
 from .geometry import wrap_angle
@@ -30,7 +31,7 @@ class RolloutPlayback:
         try:
             self.scenario = msgspec.convert(rollout.scenario, Scenario)
         except msgspec.ValidationError as error:
-            raise ValueError(f"the roll-out's scenario: {error}") from None
+            raise ValueError(f"the roll-out's scenario: {printable_line(error)}") from None
         self.rollout = rollout
         self.base = scene
         rig = self.scenario.rig if self.scenario.rig in scene.rigs else None  # else the scene's first

@@ -1,11 +1,12 @@
 """Roll-out of a closed-loop drive, step by step, as plain values."""
 
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import msgspec
 import numpy as np
 from jaxtyping import UInt8
 
+from ..safe_io.text_files import printable_line
 from ..scene.camera import Camera
 from .geometry import PlanarBox
 from .vehicle import Vehicle, VehicleState
@@ -79,8 +80,8 @@ class Rollout(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     """Hash of the scene's visible and solid content."""
     agent: str
     seed: int
-    step_s: float
-    spacing_s: float
+    step_s: Annotated[float, msgspec.Meta(gt=0)]
+    spacing_s: Annotated[float, msgspec.Meta(gt=0)]
     users: dict[str, UserModel]
     """All road users that ever appeared, by id."""
     end: str
@@ -108,7 +109,7 @@ class Rollout(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         try:
             return msgspec.convert(self.scenario.get("vehicle", {}), Vehicle)
         except msgspec.ValidationError as error:
-            raise ValueError(f"the roll-out's scenario.vehicle: {error}") from None
+            raise ValueError(f"the roll-out's scenario.vehicle: {printable_line(error)}") from None
 
     @property
     def planned_frames(self) -> tuple[RolloutStep, ...]:

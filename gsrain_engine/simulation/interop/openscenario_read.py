@@ -33,7 +33,7 @@ def read_openscenario(path: Path) -> Scenario:
     try:
         return _Document(parse_xml(data)).scenario(path.stem)
     except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
+        raise ValueError(f"{path}: {printable_line(error)}") from None
 
 
 class InitialState(NamedTuple):
