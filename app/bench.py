@@ -25,10 +25,10 @@ from gsrain_engine.recolor.problem import RecolorSettings
 from gsrain_engine.recolor.recolor import recolor_scene
 from gsrain_engine.recolor.views import TargetView
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.render.draw import rain_camera
 from gsrain_engine.render.opengl.context import NoOpenGLError
 from gsrain_engine.render.renderer import Renderer, RenderStatistics, describe_machine
 from gsrain_engine.render.sequence import FrameSequence
+from gsrain_engine.render.view import rain_camera
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from gsrain_engine.scene.geometry import linear_to_srgb, srgb_to_linear

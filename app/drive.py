@@ -17,8 +17,8 @@ from gsrain_engine.evaluation.report import write_report
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.wetness import with_wet_choice
 from gsrain_engine.render import export_settings
-from gsrain_engine.render.draw import lod_cut
 from gsrain_engine.render.export_settings import Lod
+from gsrain_engine.render.level_of_detail import lod_cut
 from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.render.video import can_write_videos
 from gsrain_engine.scene.files import file_word, shortened

@@ -14,11 +14,11 @@ from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.recordings.folders import FileCopies
 from gsrain_engine.recordings.lidar import LidarRain
-from gsrain_engine.recordings.pictures import PhotoRain, ScenePictures, has_distances
+from gsrain_engine.recordings.pictures import PhotoRain, ScenePictures
 from gsrain_engine.recordings.rainy_recording import Recording, open_recording
-from gsrain_engine.render.draw import rain_camera
 from gsrain_engine.render.export import export_sequences
 from gsrain_engine.render.export_settings import ExportSettings
+from gsrain_engine.render.view import rain_camera
 from gsrain_engine.scene.formats.registry import check_written_format, write_gaussians
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.open import load_sorted_scene
@@ -178,8 +178,6 @@ def _export_recording(
     target = _copy_path(recording, source, output)
     world = Scene(capture.name) if scene is None else load_sorted_scene(scene)
     settings = rain.for_scene(world)
-    if scene is None and not has_distances(capture):
-        _refuse_fog(settings)
     lock_outputs(target)
     turns = lidar.of(capture, settings) if recording.has_lidar and not RainSimulation.start(settings).is_dry else None
     with open_renderer("cpu") as renderer:

@@ -35,13 +35,14 @@ from gsrain_engine.evaluation.image_metrics import psnr
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.render.draw import LodCut, rain_camera, subset_items
+from gsrain_engine.render.level_of_detail import LodCut, subset_items
 from gsrain_engine.render.opengl.context import open_context
 from gsrain_engine.render.opengl.renderer import Rasterizer, SplatRenderer
 from gsrain_engine.render.opengl.shaders import GpuTimers
 from gsrain_engine.render.opengl.sort import check_sort
 from gsrain_engine.render.renderer import Renderer, describe_machine
 from gsrain_engine.render.sequence import FrameSequence
+from gsrain_engine.render.view import rain_camera
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.open import (
     is_random_scene,

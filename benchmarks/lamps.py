@@ -16,9 +16,11 @@ from gsrain_engine.editor.viewport.camera import default_path
 from gsrain_engine.rain.frame import SkyLight
 from gsrain_engine.rain.settings import load_preset
 from gsrain_engine.rain.simulation import RainSimulation
-from gsrain_engine.render.draw import RenderView, draw_view
+from gsrain_engine.render.draw import draw
+from gsrain_engine.render.frame_input import FrameInput
 from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.render.sequence import FrameSequence
+from gsrain_engine.render.view import RenderView
 from gsrain_engine.scene.lamps import Lamp
 from gsrain_engine.scene.open import load_street
 from gsrain_engine.scene.scene import Scene
@@ -68,7 +70,7 @@ def shortest_ms(
     for _ in range(frames + 1):
         for count, scene in scenes.items():
             start, used = time.perf_counter(), time.process_time()
-            draw_view(renderer, scene, rainfall, NIGHT, shot)
+            draw(renderer, FrameInput.of(scene, rainfall, NIGHT, shot))
             renderer.read_uint8()
             times[count].append((time.perf_counter() - start, time.process_time() - used))
     shortest = {count: np.min(drawn[1:], axis=0) for count, drawn in times.items()}

@@ -8,8 +8,11 @@ import time
 import numpy as np
 
 from gsrain_engine.backends import open_renderer
-from gsrain_engine.render.draw import LodCut, RenderView, draw_view
+from gsrain_engine.render.draw import draw
+from gsrain_engine.render.frame_input import FrameInput, Quality
+from gsrain_engine.render.level_of_detail import LodCut
 from gsrain_engine.render.renderer import Frame, describe_machine
+from gsrain_engine.render.view import RenderView
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.lod_tree import PIXEL
 from gsrain_engine.scene.open import load_scene, with_lod_trees
@@ -47,7 +50,7 @@ def measured(name: str, times_s: list[float], backend: str, frames: int, pixel: 
             taken: list[float] = []
             for _ in range(repeats):
                 start = time.perf_counter()
-                draw_view(renderer, scene, None, BLACK, RenderView(camera, time_s), thinning=cut)
+                draw(renderer, FrameInput.of(scene, None, BLACK, RenderView(camera, time_s), Quality(thinning=cut)))
                 renderer.read()
                 taken.append(1000 * (time.perf_counter() - start))
             return taken

@@ -23,10 +23,13 @@ from gsrain_engine.editor.viewport.options import CUT_LEVELS, FULL_QUALITY, LEVE
 from gsrain_engine.rain.settings import load_preset
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.render.draw import LodSubset, RenderView, draw_view
-from gsrain_engine.render.mirror import MirrorReuse
+from gsrain_engine.render.draw import draw
+from gsrain_engine.render.frame_input import FrameInput, Quality
+from gsrain_engine.render.level_of_detail import LodSubset
+from gsrain_engine.render.mirror_reuse import MirrorReuse
 from gsrain_engine.render.renderer import describe_machine
 from gsrain_engine.render.sky_color import sky_color
+from gsrain_engine.render.view import RenderView
 from gsrain_engine.scene.open import load_sorted_scene
 from gsrain_engine.scene.rig import rig_camera
 from gsrain_engine.scene.scene import Scene, core_bounds
@@ -70,11 +73,9 @@ class Pictures:
         camera = whole.resized(round(scale * WIDTH), round(scale * HEIGHT))
         view = replace(view, camera=camera, focal_px=quality.focal_share * whole.fx)
         cut = LiveCut(quality.error_px, self.trees, self._subsets[1 / 8]) if quality.error_px else None
-        draw_view(
-            self.renderer, self.scene, self._rainfall, self._sky, view,
-            thinning=cut or self._subsets.get(quality.gaussians), reflected=cut and cut.reflected,
-            reuse=None if quality.is_exact else reuse,
-        )  # fmt: skip
+        thinning, reuses = cut or self._subsets.get(quality.gaussians), None if quality.is_exact else reuse
+        drawn = Quality(thinning=thinning, reflected=cut and cut.reflected, reuse=reuses)
+        draw(self.renderer, FrameInput.of(self.scene, self._rainfall, self._sky, view, drawn))
         return self.renderer.read().over()[..., :3]
 
 

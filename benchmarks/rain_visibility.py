@@ -14,8 +14,8 @@ from gsrain_engine.editor.viewport.camera import default_path
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.render.draw import rain_camera
 from gsrain_engine.render.sequence import FrameSequence
+from gsrain_engine.render.view import rain_camera
 from gsrain_engine.scene.open import load_street
 from gsrain_engine.scene.scene import Scene
 

@@ -15,9 +15,11 @@ import numpy as np
 
 from gsrain_engine.backends import open_renderer
 from gsrain_engine.editor.viewport.camera import home_camera
-from gsrain_engine.render.draw import RenderView, draw_view
+from gsrain_engine.render.draw import draw
+from gsrain_engine.render.frame_input import FrameInput
 from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.render.sky_color import sky_color
+from gsrain_engine.render.view import RenderView
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.formats.registry import read_gaussians, write_gaussians
 from gsrain_engine.scene.gaussians import Gaussians
@@ -45,7 +47,7 @@ def shortest_s(work: Callable[[], object], repeats: int) -> float:
 def picture(renderer: Renderer, gaussians: Gaussians, camera: Camera) -> "np.ndarray[Any, Any]":
     scene = Scene("scene", layers=(Layer("scene", gaussians),), up=FILE_UP)
     sky = sky_color(renderer, scene, camera).at(0.0)
-    draw_view(renderer, scene, None, sky, RenderView(camera))
+    draw(renderer, FrameInput.of(scene, None, sky, RenderView(camera)))
     return np.array(renderer.read_uint8(), np.float64)
 
 

@@ -41,7 +41,7 @@ from gsrain_engine.editor.viewport.picking import (  # noqa: E402
     pick,
     pick_point,
 )
-from gsrain_engine.render.draw import RenderView  # noqa: E402
+from gsrain_engine.render.view import RenderView  # noqa: E402
 from gsrain_engine.scene.flags import BitMask  # noqa: E402
 from gsrain_engine.scene.open import (  # noqa: E402
     random_scene,

@@ -24,7 +24,9 @@ from gsrain_engine.datasets.geometry import scaled_camera
 from gsrain_engine.datasets.street import StreetViews
 from gsrain_engine.rain.simulation import OVERCAST
 from gsrain_engine.render.cpu.compositing import ColorOperator, color_operator
-from gsrain_engine.render.draw import RenderView, draw_view
+from gsrain_engine.render.draw import draw
+from gsrain_engine.render.frame_input import FrameInput
+from gsrain_engine.render.view import RenderView
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.gaussians import SH_C0
 from gsrain_engine.scene.rig import rig_camera
@@ -82,7 +84,7 @@ class PictureProblem:
         self.missing: Pictures = []
         with open_renderer("cpu") as renderer:
             for view, target in zip(views, targets, strict=True):
-                draw_view(renderer, scene, None, OVERCAST, view)
+                draw(renderer, FrameInput.of(scene, None, OVERCAST, view))
                 self.missing.append(target - renderer.read_uint8().astype(np.float32) / 255)
                 self.operators.append(self._operator(scene, view))
         self.weights = weights

@@ -10,8 +10,10 @@ import numpy as np
 from gsrain_engine.backends import open_renderer
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import RainSimulation
-from gsrain_engine.render.draw import RenderView, draw_view
+from gsrain_engine.render.draw import draw
+from gsrain_engine.render.frame_input import FrameInput
 from gsrain_engine.render.sky_color import sky_color
+from gsrain_engine.render.view import RenderView
 from gsrain_engine.scene.open import load_sorted_scene
 from gsrain_engine.simulation.agents.base import NOTHING
 from gsrain_engine.simulation.scenario_io import load_scenario
@@ -48,7 +50,7 @@ def main() -> None:
         for number in range(options.frames + 1):
             for name, rainfall in rains.items():
                 start = time.perf_counter()
-                draw_view(renderer, scene, rainfall, sky, view)
+                draw(renderer, FrameInput.of(scene, rainfall, sky, view))
                 renderer.read()
                 if number:  # the first frame compiles
                     taken[name].append(1000 * (time.perf_counter() - start))

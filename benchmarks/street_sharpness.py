@@ -19,7 +19,9 @@ from gsrain_engine.backends import open_renderer
 from gsrain_engine.datasets.geometry import scaled_camera
 from gsrain_engine.datasets.street import StreetViews
 from gsrain_engine.rain.simulation import OVERCAST
-from gsrain_engine.render.draw import RenderView, draw_view
+from gsrain_engine.render.draw import draw
+from gsrain_engine.render.frame_input import FrameInput
+from gsrain_engine.render.view import RenderView
 from gsrain_engine.scene.rig import rig_camera
 from gsrain_engine.scene.scene import Scene
 from gsrain_engine.scene.street.build import scene_of, street_surfaces
@@ -62,7 +64,7 @@ def main() -> None:
     with open_renderer("cpu") as renderer:
         for k, view in enumerate(ego_views(scene, arguments.width, arguments.count)):
             mesh = mesh_picture(views, view)
-            draw_view(renderer, scene, None, OVERCAST, view)
+            draw(renderer, FrameInput.of(scene, None, OVERCAST, view))
             drawn = renderer.read_uint8().astype(np.float32) / 255
             error = float(np.mean((drawn - mesh) ** 2))
             rows.append(

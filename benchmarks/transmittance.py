@@ -23,8 +23,10 @@ from gsrain_engine.evaluation.lidar.sensor import SENSORS
 from gsrain_engine.rain.frame import SkyLight
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import RainSimulation
-from gsrain_engine.render.draw import RenderView, draw_view
+from gsrain_engine.render.draw import draw
+from gsrain_engine.render.frame_input import FrameInput
 from gsrain_engine.render.renderer import Renderer
+from gsrain_engine.render.view import RenderView
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
@@ -130,7 +132,7 @@ class WallPair:
         simulation, view = RainSimulation.start(rain), RenderView(self._camera, time_s, focal_px=FOCAL_PX)
         lights: list[Float64[np.ndarray, "h w"]] = []
         for scene in self._scenes:
-            draw_view(self._renderer, scene, simulation, SKY, view)
+            draw(self._renderer, FrameInput.of(scene, simulation, SKY, view))
             lights.append(srgb_to_linear(self._renderer.read().rgba[..., 1].astype(np.float64)))
         return lights[1] - lights[0]
 

@@ -22,15 +22,13 @@ import numpy as np
 
 from gsrain_engine.backends import open_renderer
 from gsrain_engine.editor.viewport.camera import default_path
-from gsrain_engine.rain.frame import SkyLight
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.simulation import RainSimulation
-from gsrain_engine.render.camera_optics import CameraOptics
-from gsrain_engine.render.draw import RenderView
+from gsrain_engine.render.draw import filters_of
+from gsrain_engine.render.frame_input import FrameInput
 from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.render.sequence import FrameSequence
 from gsrain_engine.scene.open import load_drawable_scene
-from gsrain_engine.water.glass import CameraMotion
 
 FRAMES = range(60, 64)
 """Frames of a video. The first one is a warm-up: the water on its glass comes from far, that of others from the one
@@ -80,7 +78,7 @@ def shortest_ms(
         return FrameSequence(scene, rainfall, path, width, height)
 
     pictures = {kind: sequence_of(changes) for kind, changes in PICTURES.items()}
-    behind = {kind: (sequence_of({"glass": kind}), CameraOptics()) for kind in GLASS}
+    behind = {kind: sequence_of({"glass": kind}) for kind in GLASS}
     sky = pictures["no water"].sky(renderer)
     clock = Clock((*pictures, *behind))
     for clock.round in range(rounds + 1):
@@ -89,11 +87,10 @@ def shortest_ms(
             for kind, sequence in pictures.items():
                 with clock.measured(kind):
                     image = sequence.image(renderer, number, sky)
-            for kind, (sequence, optics) in behind.items():
-                shot = sequence.shot(number)  # which a picture without glass needs, too
-                light = sky.at(sequence.rainfall.overcast_at(shot.time_s))
+            for kind, sequence in behind.items():
+                frame = sequence.frame_input(sequence.shot(number), sky)  # which a picture without glass needs, too
                 with clock.measured(kind):
-                    through_glass(renderer, sequence, optics, shot, light, image)
+                    through_glass(renderer, frame, image)
     return {kind: each[:, 1:] for kind, each in clock.shortest.items()}
 
 
@@ -115,23 +112,9 @@ class Clock:
             times[:, self.column] = np.minimum(times[:, self.column], spent)
 
 
-def through_glass(
-    renderer: Renderer,
-    sequence: FrameSequence,
-    optics: CameraOptics,
-    shot: RenderView,
-    sky: SkyLight,
-    image: np.ndarray,
-) -> np.ndarray:
+def through_glass(renderer: Renderer, frame: FrameInput, image: np.ndarray) -> np.ndarray:
     """All that glass adds to a frame: water on it up to its time, the view behind drops, and the picture through it."""
-
-    def past(time_s: float) -> CameraMotion:
-        then = sequence.shot_at(max(time_s, 0.0))
-        velocity = np.zeros(3) if then.velocity_m_s is None else then.velocity_m_s
-        return CameraMotion(then.camera.camera_to_world[:3, :3], velocity, then.camera.position)
-
-    glass = optics.glass_view(renderer, sequence.scene, sequence.rainfall, sky, shot, past=past)
-    assert glass is not None
+    (glass,) = filters_of(renderer, frame)
     return glass.picture(image)
 
 

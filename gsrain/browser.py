@@ -22,8 +22,8 @@ from gsrain_engine.editor.viewport.camera import default_path, find_scene_core, 
 from gsrain_engine.editor.viewport.options import SETTLED_S, QualityLevel
 from gsrain_engine.rain.properties import rain_class
 from gsrain_engine.rain.settings import RainSettings as RainSettings
-from gsrain_engine.render.draw import RenderView
 from gsrain_engine.render.export_settings import DEFAULT_SIZE_PX
+from gsrain_engine.render.view import RenderView
 from gsrain_engine.safe_io.limits import checked_token
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.files import sentence_of

@@ -213,10 +213,11 @@ def draw_lamps_behind_a_windshield() -> set[tuple[str, str]]:
     from gsrain_engine.editor.drawing.textures import compile_kernels
     from gsrain_engine.rain.settings import load_preset
     from gsrain_engine.rain.simulation import OVERCAST, RainSimulation
-    from gsrain_engine.render.camera_optics import CameraOptics
     from gsrain_engine.render.cpu.renderer import CpuRenderer
-    from gsrain_engine.render.draw import RenderView, draw_view
+    from gsrain_engine.render.draw import draw
+    from gsrain_engine.render.frame_input import FrameInput, Quality
     from gsrain_engine.render.still_scene import StillScene
+    from gsrain_engine.render.view import RenderView
     from gsrain_engine.scene.camera import Camera, look_at
     from gsrain_engine.scene.ground_water import GroundWater
     from gsrain_engine.scene.lamps import Lamp
@@ -229,10 +230,8 @@ def draw_lamps_behind_a_windshield() -> set[tuple[str, str]]:
     pose = look_at(np.array([0.0, -8.0, 1.5]), np.array([0.0, 9.0, 2.0]), np.array([0.0, 0.0, 1.0]))
     view, rainfall = RenderView(Camera.from_fov(192, 128, 60.0, pose), 3.0), RainSimulation.start(load_preset("demo"))
     renderer = CpuRenderer()
-    glass = CameraOptics().glass_view(renderer, scene, rainfall, OVERCAST, view)
     for still in (None, StillScene()):
-        draw_view(renderer, scene, rainfall, OVERCAST, view, still=still)
-    glass.picture(renderer.read_uint8())
+        draw(renderer, FrameInput.of(scene, rainfall, OVERCAST, view, Quality(still=still))).read_uint8()
     return kernel_signatures() - before
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 from PIL import Image
 
-from gsrain_engine.appearance.rainy_photo import photo_view
+from gsrain_engine.appearance.capture_photos import CapturePhotos
 from gsrain_engine.appearance.scene_views import (
     PlacedCamera,
     ViewChoice,
@@ -189,7 +189,7 @@ def detection(
             )
         originals = all(frame.original is not None for frame in prepared.frames)
         trials = evaluation.conditions_of(
-            tuple(intensities), tuple(range(seeds)), originals=originals, scene=not prepared.pictures.is_in_front
+            tuple(intensities), tuple(range(seeds)), originals=originals, scene=prepared.pictures.photos is None
         )
         sizes = size_conditions(trials, scales, own_scale)
         prepared = with_sizes(prepared, scales, own_scale)
@@ -293,7 +293,7 @@ def open_cache(
         "wet": wet,
         "rain": msgspec.to_builtins(source.pictures.rain),
         "sky": msgspec.to_builtins(source.pictures.sky),
-        "rain_before_pictures": source.pictures.is_in_front,
+        "rain_before_pictures": source.pictures.photos is not None,
         "backend": backend,
         "versions": {name: version_of(name) for name in _PACKAGES},
     }
@@ -383,7 +383,7 @@ def detection_numbers(
         "size_px": [camera.width, camera.height],
         "seeds": list(range(seeds)),
         "rain": rain,
-        "rain_before_pictures": source.pictures.is_in_front,
+        "rain_before_pictures": source.pictures.photos is not None,
         "least_iou": 0.5,
         "found_from_confidence": summary.FOUND_FROM,
         "least_height_px": MIN_HEIGHT_PX,
@@ -703,10 +703,8 @@ def decomposed_source(
     `name` is that of the scene. Raises ValueError for factors that it lacks.
     """
     pictures, view = source.pictures, source.frames[0].shot
-    rain = pictures.rain.without_medium if pictures.is_in_front else pictures.rain
-    parts = rain_attributions(
-        rain, factors, name, pictures.scene, intensities, range(seeds), pairs, in_front=pictures.is_in_front
-    )
+    rain, in_front = pictures.rain, pictures.photos is not None
+    parts = rain_attributions(rain, factors, name, pictures.scene, intensities, range(seeds), pairs, in_front=in_front)
     rain = msgspec.structs.replace(parts[-1].factors.rain, intensity_mm_h=rain.intensity_mm_h)
     own = evaluation.RainVariant(rain, pictures.scene, pictures.sky)
     twin = None
@@ -801,13 +799,12 @@ def _of_capture(renderer: Renderer, choice: DetectionSource, rain: RainSettings)
             f"{capture.name}: its unit of length is unknown, and rain falls in meters; take the folder of its pictures "
             "alone, or a reconstruction that was scaled to meters with --capture"
         )
-    if rain.visibility_m is not None:
-        raise ValueError(f"--visibility {rain.visibility_m:g}: fog needs distances, and photographs have none")
-    world = Scene(capture.name, up=capture.up, ego=capture.ego)
-    placed = [_of_view(undistort_frame(view), world, capture, choice.width_px) for view in capture]
+    photos = CapturePhotos(capture)
+    world = photos.world
+    placed = [_of_view(undistort_frame(view), photos, choice.width_px) for view in capture]
     labels = None if choice.truth is None else read_coco(choice.truth)
     frames = evaluation.recorded_frames(world, placed, capture, labels)
-    pictures = evaluation.ConditionRenderer(renderer, world, rain, SkyColor(OVERCAST, False), is_in_front=True)
+    pictures = evaluation.ConditionRenderer(renderer, world, rain, SkyColor(OVERCAST, False), photos)
     inputs = {"capture": input_fingerprint(Path(str(choice.source)))} | _hashes(choice)
     return PreparedSource(capture.name, pictures, frames, _frame_rate(placed), inputs)
 
@@ -818,9 +815,9 @@ def _hashes(choice: DetectionSource) -> dict[str, str]:
     return found if choice.truth is None else found | {"truth": file_hash(choice.truth)}
 
 
-def _of_view(view: CaptureFrame, world: Scene, capture: Capture, width_px: int) -> PlacedCamera:
-    """Return the world camera of a captured view; without poses, a level camera over the road."""
-    camera = photo_view(world, capture, view).camera
+def _of_view(view: CaptureFrame, photos: CapturePhotos, width_px: int) -> PlacedCamera:
+    """Return the world camera of a captured view without distortion; without poses, a level one over the road."""
+    camera = photos.view(view).camera
     return PlacedCamera(view.name, camera, view.time_s, view.sensor).at_width(width_px)
 
 

@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float64
 
-from ..render.draw import RenderView
+from ..render.view import RenderView
 from ..scene import camera_path_edit as edits
 from ..scene.camera import Camera
 from ..scene.camera_path import CameraPath, circle_path

@@ -11,7 +11,7 @@ from jaxtyping import Float64
 
 from ..rain.settings import RainSettings, RegionBox
 from ..rain.simulation import RainSimulation
-from ..render.draw import RenderView, rain_anchor
+from ..render.view import RenderView, rain_anchor
 from ..scene.camera import Camera, look_at
 from ..scene.geometry import EDGES
 from ..scene.scene import Scene

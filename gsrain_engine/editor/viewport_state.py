@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ..render.draw import RenderView
+from ..render.view import RenderView
 from ..scene.camera import Camera
 from ..scene.camera_path import CameraPath
 from ..scene.scene import DrawItem, Scene, SceneCore, core_bounds

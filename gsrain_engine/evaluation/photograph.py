@@ -13,8 +13,8 @@ from ..rain.settings import RainSettings
 from ..rain.simulation import RainSimulation
 from ..render.camera_response import jpeg_of, light_of_display, stored_jpeg, to_levels, tone_curve
 from ..render.cpu.renderer import CpuRenderer
-from ..render.draw import RenderView, rain_camera
 from ..render.signal_processing import processed, with_chroma_noise
+from ..render.view import RenderView, rain_camera
 from ..scene.camera import Camera
 from ..scene.scene import Scene
 from ..scene.sensor import Sensor

@@ -26,10 +26,10 @@ from msgspec import structs
 from ..rain.settings import RainSettings
 from ..rain.simulation import RainSimulation
 from ..render.cpu.splats import NEAR_M
-from ..render.draw import RenderView, rain_camera
 from ..render.opengl.shaders import ShaderSource
 from ..render.renderer import Renderer
 from ..render.sequence import FrameSequence
+from ..render.view import RenderView, rain_camera
 from ..scene.files import whole_file
 from ..scene.geometry import quaternions_from_matrices
 from ..scene.progress import Progress

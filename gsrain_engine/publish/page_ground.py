@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from ..rain.simulation import RainSimulation
-from ..render.draw import has_splashes, wet_ground
+from ..render.passes.splashes import has_splashes, wet_ground
 from ..scene.camera import Camera
 from ..scene.formats.sog_writer import image_columns, lossless_image
 from ..scene.scene import Scene

@@ -12,12 +12,12 @@ from jaxtyping import Float32, UInt8
 from ..rain.frame import SkyLight
 from ..rain.simulation import RainSimulation
 from ..rain.wetness import flooded_share
-from ..render.mirror import reflected_item, standing_water
+from ..render.passes.mirror import reflected_item
 from ..scene.ground_water import FILM_SLOPE, STANDING_SLOPE, GroundWater
 from ..scene.scene import DrawItem, Scene
 from ..water.films import WaterFilms
 from ..water.impacts import GroundImpacts
-from ..water.mirror import SCALES, facet_table
+from ..water.mirror import SCALES, facet_table, standing_water
 from ..water.rings import standing_slope
 
 GROWTH_STEPS = 127

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Float64, Int64, UInt8
 from PIL import Image
 
-from ..render.mirror import reflecting_items
+from ..render.passes.mirror import reflecting_items
 from ..scene.formats.sog_writer import (
     coded,
     encode_harmonics,

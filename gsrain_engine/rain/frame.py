@@ -51,6 +51,10 @@ class SkyLight(NamedTuple):
     airlight: tuple[float, float, float]
     """Color that distant things fade into: that of the sky just above the horizon."""
 
+    def at(self, overcast: float) -> "SkyLight":
+        """Light at a share of the overcast sky: the same at any."""
+        return self
+
     @classmethod
     def uniform(cls, color: tuple[float, float, float]) -> "SkyLight":
         """Light of a sky that has one color."""
@@ -138,6 +142,12 @@ class RainFrame:
     def draws_drops(self) -> bool:
         """True if there are drops, and they are drawn one by one."""
         return self.rain.streaks and self.count > 0
+
+    @property
+    def has_haze(self) -> bool:
+        """True if there is a medium, or haze of Gaussians."""
+        far = self.rain.haze
+        return far == "gaussians" or (self.extinction_per_m if far == "medium" else self.fog_extinction_per_m) > 0
 
     @property
     def is_linear(self) -> bool:

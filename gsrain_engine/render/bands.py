@@ -2,16 +2,17 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, UInt8
 
 from ..rain.frame import RainFrame
 from ..scene.camera import Camera
 from ..scene.scene import DrawItem
 from ..water.mirror import SCALES, LensMirror, Mirror
 from .cpu.tiles import TILE
-from .renderer import Frame, Renderer, RenderMode
+from .renderer import Color, Frame, PendingImage, Renderer, RenderMode
 
 MAX_SAMPLES = 1 << 23
 """Samples that are drawn at once, a little more than a picture of 3840x2160 has: 128 MiB of floats."""
@@ -29,11 +30,16 @@ class PictureBands:
         self._renderer, self._side = renderer, supersampling
         self._frame: Frame | None = None
 
-    @property
-    def frame(self) -> Frame:
-        """The last picture."""
+    def read(self) -> Frame:
+        """Return the last picture."""
         assert self._frame is not None, "draw before reading the picture"
         return self._frame
+
+    def read_uint8(self, background: Color = (0.0, 0.0, 0.0)) -> UInt8[np.ndarray, "h w 3"]:
+        return self.read().to_uint8(background)
+
+    def request_uint8(self, background: Color = (0.0, 0.0, 0.0)) -> PendingImage:
+        return partial(self.read().to_uint8, background)
 
     def draw(
         self,

@@ -1,4 +1,4 @@
-"""From a rendered picture to the one that a camera stores: water on glass, then gain, noise, tone curve and JPEG."""
+"""From a rendered picture to the one that a camera stores: gain, noise, tone curve and JPEG."""
 
 import zlib
 from dataclasses import dataclass
@@ -16,7 +16,6 @@ from ..rain.pcg_hash import pcg4d_scalar
 from ..scene.camera import Camera
 from ..scene.geometry import LUMINANCE, linear_to_srgb, srgb_to_linear
 from ..scene.sensor import Sensor
-from ..water.refraction import GlassView
 from .signal_processing import processed, with_chroma_noise
 
 cv2: Any = lazy_loader.load("cv2")  # only pictures of a sensor with JPEG need it
@@ -73,20 +72,6 @@ class CameraResponse:
         moment = zlib.crc32(np.float64(self.time_s).tobytes())
         camera = zlib.crc32(np.ascontiguousarray(self.camera.world_to_camera, np.float64).tobytes())
         return np.uint32(self.seed & 0xFFFFFFFF), np.uint32(moment), np.uint32(camera)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PictureOptics:
-    """Glass and sensor between scene and stored picture, for one frame of a camera."""
-
-    glass: GlassView | None = None
-    response: CameraResponse | None = None
-
-    def picture(self, image: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
-        """Return the picture that the camera stores of a rendered one (sRGB)."""
-        if self.glass is not None:
-            image = self.glass.picture(image)
-        return image if self.response is None else self.response.picture(image)
 
 
 def metered_gain(image: UInt8[np.ndarray, "h w 3"], sensor: Sensor) -> float:

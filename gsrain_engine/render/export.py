@@ -19,9 +19,9 @@ from ..scene.files import hold_for_writing
 from ..scene.open import with_lod_trees
 from ..scene.progress import Progress
 from ..scene.scene import Scene
-from .draw import lod_cut
 from .export_settings import DEFAULT_SIZE_PX, ExportSettings, Pass, export_files, export_outputs
 from .images import FrameWriter, open_frame_writer
+from .level_of_detail import lod_cut
 from .object_labels import draw_labels, label_legend
 from .renderer import Frame, PendingImage, Renderer, RenderMode
 from .sequence import FrameSequence, RigCameraView, common_sky, find_rig_cameras

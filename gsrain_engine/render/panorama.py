@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int64
 
 from ..scene.camera import Camera, look_at
-from .draw import RenderView
 from .export_settings import Projection
 from .renderer import Frame
+from .view import RenderView
 
 EYES_APART_M = 0.065
 """Distance between the eyes of a stereo image: the mean of adults (Dodgson 2004: 63 mm), rounded as cameras have it."""

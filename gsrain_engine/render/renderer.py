@@ -5,10 +5,11 @@ import platform
 import time
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from importlib import metadata
 from pathlib import Path
-from typing import Literal, Protocol, no_type_check, runtime_checkable
+from typing import Literal, NamedTuple, Protocol, no_type_check, runtime_checkable
 
 import numba
 import numpy as np
@@ -19,7 +20,6 @@ from ..rain.frame import RainFrame
 from ..scene.camera import Camera
 from ..scene.scene import DrawItem
 from ..water.mirror import LensMirror, Mirror
-from .camera_response import PictureOptics
 
 RenderMode = Literal["splats", "points", "ellipsoids", "depth", "normals", "opacity", "overdraw", "layers"]
 """Visualization modes. All except `splats` show the scene without rain:
@@ -53,6 +53,15 @@ class RenderStatistics:
 
 # Images
 
+
+class PictureFilter(NamedTuple):
+    """What acts on a drawn picture on the way to the stored one, such as glass or a sensor."""
+
+    name: str
+    """That of its pass."""
+    picture: Callable[[UInt8[np.ndarray, "h w 3"]], UInt8[np.ndarray, "h w 3"]]
+
+
 Color = tuple[float, float, float]  # red, green, blue as display values (sRGB-encoded), 0 to 1
 
 
@@ -67,8 +76,8 @@ class Frame:
 
     Through a lens it is the distance from the camera.
     """
-    optics: PictureOptics | None = None
-    """Glass and sensor of the 8-bit image; floats are without them."""
+    filters: tuple[PictureFilter, ...] = ()
+    """What acts on the 8-bit image, such as glass and sensor; floats are without them."""
 
     def over(self, background: Color = (0.0, 0.0, 0.0)) -> Float32[np.ndarray, "h w 3"]:
         alpha = self.rgba[..., 3:]
@@ -78,7 +87,9 @@ class Frame:
         """Return the 8-bit image over a plain background, rounded to nearest, as the camera stores it."""
         pixels = np.empty((*self.rgba.shape[:2], 3), np.uint8)
         _quantize(np.ascontiguousarray(self.rgba, np.float32), np.array(background, np.float32), pixels)
-        return pixels if self.optics is None else self.optics.picture(pixels)
+        for each in self.filters:
+            pixels = each.picture(pixels)
+        return pixels
 
     def to_rgba8(self) -> UInt8[np.ndarray, "h w 4"]:
         """Return the 8-bit image with straight alpha; color is that of the covered share, black where there is none."""
@@ -149,6 +160,63 @@ class Renderer(Protocol):
         ...
 
 
+@runtime_checkable
+class PictureSource(Protocol):
+    """What a picture is read from: a renderer, or bands of its pictures."""
+
+    def read(self) -> Frame: ...
+
+    def read_uint8(self, background: Color = (0.0, 0.0, 0.0)) -> UInt8[np.ndarray, "h w 3"]: ...
+
+    def request_uint8(self, background: Color = (0.0, 0.0, 0.0)) -> PendingImage: ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Picture:
+    """A picture as it was drawn, to be read before its renderer draws the next one."""
+
+    renderer: Renderer
+    source: PictureSource
+    filters: tuple[PictureFilter, ...]
+    passes_ms: dict[str, float]
+    """Time of each pass, and of reading the picture."""
+    compose: Callable[[Frame], UInt8[np.ndarray, "h w 3"]] | None = None
+    """Puts what was drawn before a photograph; None for pictures of scenes."""
+
+    @property
+    def rows_ms(self) -> dict[str, float]:
+        """Time of each pass, of each stage of the renderer, and of reading, once that is done."""
+        rows = dict(self.passes_ms)
+        for stage, milliseconds in self.renderer.statistics.stages_ms.items():
+            rows[stage] = rows.get(stage, 0.0) + milliseconds
+        return rows
+
+    def frame(self) -> Frame:
+        """Return premultiplied floats, and depth if it was asked for, with the filters of the 8-bit image."""
+        with timed(self.passes_ms, "read"):
+            return replace(self.source.read(), filters=self.filters)
+
+    def read_uint8(self, background: Color = (0.0, 0.0, 0.0)) -> UInt8[np.ndarray, "h w 3"]:
+        """Return the 8-bit image (sRGB) over a plain background, as the camera stores it."""
+        return self.request_uint8(background)()
+
+    def request_uint8(self, background: Color = (0.0, 0.0, 0.0)) -> PendingImage:
+        """Start to read the image back as `read_uint8` does, so that the next one can be drawn meanwhile."""
+        if self.compose is None:
+            pending = self.source.request_uint8(background)
+        else:
+            pending = partial(self.compose, self.source.read())
+        return partial(self._stored, pending)
+
+    def _stored(self, pending: PendingImage) -> UInt8[np.ndarray, "h w 3"]:
+        with timed(self.passes_ms, "read"):
+            pixels = pending()
+        for each in self.filters:
+            with timed(self.passes_ms, each.name):
+                pixels = each.picture(pixels)
+        return pixels
+
+
 NEAREST_M, FARTHEST_M = 0.5, 200.0
 """Range of the depth colors: each octave is distinct for small captures and for streets."""
 
@@ -161,7 +229,7 @@ def timed(stages_ms: dict[str, float], stage: str) -> Generator[None]:
     """Add the wall time of a `with` block to a stage."""
     start = time.perf_counter()
     yield
-    stages_ms[stage] += 1000 * (time.perf_counter() - start)
+    stages_ms[stage] = stages_ms.get(stage, 0.0) + 1000 * (time.perf_counter() - start)
 
 
 # Machine

@@ -4,11 +4,9 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
-import msgspec
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
-from ..rain.frame import SkyLight
 from ..rain.settings import RainSettings
 from ..rain.simulation import OVERCAST, RainSimulation
 from ..scene.camera import Camera
@@ -17,14 +15,17 @@ from ..scene.rig import rig_camera
 from ..scene.scene import RigCamera, Scene
 from ..water.glass import CameraMotion, GlassState
 from .bands import PictureBands, has_one_band
-from .camera_optics import CameraOptics, glass_state
-from .camera_response import PictureOptics
-from .draw import LodCut, RenderView, draw_view, has_spray, request_picture
+from .draw import draw, filters_of, meter
 from .export_settings import Projection
+from .frame_input import FALLING, FILTERS, CameraMemory, FrameInput, Mount, Quality, Sky
 from .images import to_display, to_linear_light
+from .level_of_detail import LodCut
 from .panorama import compose, views_of
+from .passes.glass import glass_state
+from .passes.spray import has_spray
 from .renderer import Frame, PendingImage, Renderer, RenderMode
 from .sky_color import SkyColor, sky_color
+from .view import RenderView
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,7 +87,7 @@ class FrameSequence:
     projection: Projection = "perspective"
     sky_scene: Scene | None = None
     """Scene whose sky gives drops and medium their colors, if another: that of a transparent background has none."""
-    _optics: CameraOptics = field(default_factory=CameraOptics, init=False)
+    _memory: CameraMemory = field(default_factory=CameraMemory, init=False)
 
     def time_s(self, number: int) -> float:
         """Time of a frame, the middle of its exposure."""
@@ -158,19 +159,18 @@ class FrameSequence:
             frames = [self.frame(renderer, number, sky, with_depth=with_depth, look=look, face=each) for each in faces]
             return compose(frames, self.projection, self.width, self.height)
 
-        def face_view(shot: RenderView) -> RenderView:
-            return shot if face is None else views_of(shot, self.projection)[face]
-
-        rainfall = None if sky is None else self.rainfall
-        color = OVERCAST if sky is None else sky.at(self.rainfall.overcast_at(self.time_s(number)))
-        shots, side = list(map(face_view, self.shots(number))), self.supersampling
-        bands = PictureBands(renderer, side)
-        has_own_depth = with_depth and len(shots) == side == 1
-        has_own_depth = has_own_depth and not has_spray(self.scene, rainfall, shots[0].time_s)
-        thinning = LodCut() if self.lod and look == "splats" and not has_own_depth else None
-        optics = None
+        middle, shots, side = self.shot(number), self.shots(number), self.supersampling
+        if face is not None:
+            middle, *shots = (views_of(shot, self.projection)[face] for shot in (middle, *shots))
+        whole = self.frame_input(middle, sky, look)
+        has_own_depth = with_depth and len(shots) == side == 1 and not has_spray(whole)
+        filters = ()
         if face is None:
-            optics = self._optics_of(renderer, self.shot(number), color, look, falls=sky is not None)
+            self._meter(renderer, whole)
+            filters = filters_of(renderer, whole)
+        bands = PictureBands(renderer, side)
+        quality = replace(whole.quality, with_depth=has_own_depth, bands=bands)
+        quality = replace(quality, thinning=None) if has_own_depth else quality
         frame: Frame | None = None
         total: Float32[np.ndarray, "h w 4"] | None = None
         for shot in shots:
@@ -178,37 +178,46 @@ class FrameSequence:
                 camera = shot.camera
                 finer = camera.resized(side * camera.width, side * camera.height)
                 shot = replace(shot, camera=finer, focal_px=shot.focal_px or float(np.sqrt(camera.fx * camera.fy)))
-            draw_view(
-                renderer, self.scene, rainfall, color, shot, with_depth=has_own_depth, look=look, thinning=thinning,
-                falls=self.falls, bands=bands,
-            )  # fmt: skip
-            frame = bands.frame
+            frame = draw(renderer, whole.changed(view=shot, quality=quality, without=whole.without | FILTERS)).frame()
             if len(shots) > 1:
                 light = to_linear_light(frame.rgba)
                 total = light if total is None else total + light
         assert frame is not None
         if total is not None:
             frame = replace(frame, rgba=to_display(total / np.float32(len(shots))))
-        has_medium = rainfall is not None and rainfall.state_at(self.time_s(number)).extinction_per_m > 0
-        if self.sky_scene is not None and has_medium and self.falls:
-            frame = self._without_airlight(renderer, frame, color, face_view(self.shot(number)))
+        if self.sky_scene is not None and whole.falling is not None and whole.falling.extinction_per_m > 0:
+            frame = self._without_airlight(renderer, frame, whole)
         if with_depth and not has_own_depth:
-            bands = PictureBands(renderer)
-            draw_view(renderer, self.scene, None, color, face_view(self.shot(number)), with_depth=True, bands=bands)
-            frame = replace(frame, depth=bands.frame.depth)
-        return replace(frame, optics=optics)
+            alone = Quality(with_depth=True, bands=PictureBands(renderer))
+            depth = draw(renderer, whole.changed(quality=alone, is_clear=True, without=FILTERS)).frame().depth
+            frame = replace(frame, depth=depth)
+        return replace(frame, filters=filters)
 
-    def _without_airlight(self, renderer: Renderer, frame: Frame, sky: SkyLight, shot: RenderView) -> Frame:
+    def frame_input(self, shot: RenderView, sky: Sky | None, mode: RenderMode = "splats") -> FrameInput:
+        """Everything that a picture of the sequence holds; `sky=None` leaves out the rain."""
+        mount = Mount(self._memory, past=self._motion, camera_to_vehicle=self._camera_to_vehicle)
+        quality = Quality(mode, thinning=LodCut() if self.lod and mode == "splats" else None)
+        without = frozenset[str]() if self.falls else FALLING
+        return FrameInput.of(
+            self.scene, self.rainfall, sky or OVERCAST, shot, quality,
+            is_clear=sky is None, without=without, mount=mount,
+        )  # fmt: skip
+
+    def _meter(self, renderer: Renderer, frame: FrameInput) -> None:
+        """Meter automatic exposure at the start of the sequence, once."""
+        if frame.is_image:
+            meter(renderer, frame.changed(view=self.shot_at(self.start_s)))
+
+    def _without_airlight(self, renderer: Renderer, frame: Frame, whole: FrameInput) -> Frame:
         """Remove the medium's light behind the scene, as far as there is nothing but the transparent background.
 
         What covers a pixel is the scene and the streaks, drawn once more without the medium, which covers the rest.
         """
-        rain = msgspec.structs.replace(self.rainfall.rain, haze="none", visibility_m=None)
-        clear_air = RainSimulation.start(rain, weather=self.rainfall.weather)
-        bands = PictureBands(renderer)
-        draw_view(renderer, self.scene, clear_air, sky, shot, falls=self.falls, bands=bands)
-        alpha = bands.frame.rgba[..., 3:]
-        airlight = np.array(self.rainfall.rain.drop_color or sky.airlight, np.float32)
+        assert whole.falling is not None
+        quality = replace(whole.quality, thinning=None, bands=PictureBands(renderer))
+        clear_air = whole.changed(quality=quality, without=whole.without | FILTERS | {"medium"})
+        alpha = draw(renderer, clear_air).frame().rgba[..., 3:]
+        airlight = whole.falling.airlight.astype(np.float32)
         color = np.maximum(frame.rgba[..., :3] - np.maximum(frame.rgba[..., 3:] - alpha, 0) * airlight, 0)
         return replace(frame, rgba=np.concatenate([np.minimum(color, alpha), alpha], axis=-1))
 
@@ -222,35 +231,17 @@ class FrameSequence:
         self, renderer: Renderer, number: int, sky: SkyColor | None, *, look: RenderMode = "splats"
     ) -> PendingImage:
         """Draw a frame as `image` does, and start to read it back: others can be drawn meanwhile."""
-        rainfall, shot = None if sky is None else self.rainfall, self.shot(number)
+        shot = self.shot(number)
         is_composed = self.motion_blur > 1 or self.supersampling > 1 or self.projection != "perspective"
         if is_composed or not has_one_band(shot.camera):
             return self.frame(renderer, number, sky, look=look).to_uint8
-        color = OVERCAST if sky is None else sky.at(self.rainfall.overcast_at(shot.time_s))
-        optics = self._optics_of(renderer, shot, color, look, falls=sky is not None)
-        thinning = LodCut() if self.lod and look == "splats" else None
-        draw_view(renderer, self.scene, rainfall, color, shot, look=look, thinning=thinning, falls=self.falls)
-        return request_picture(renderer, optics)
-
-    def _optics_of(
-        self, renderer: Renderer, shot: RenderView, sky: SkyLight, look: RenderMode, *, falls: bool
-    ) -> PictureOptics | None:
-        """Glass and sensor for a frame, with rain or without; None for other render modes than splats.
-
-        Automatic exposure is that of the start of the sequence.
-        """
-        if look != "splats":
-            return None
-        if self.rainfall.picture_sensor is not None:
-            self._optics.meter(renderer, self.scene, self.rainfall, self.shot_at(self.start_s))
-        return self._optics.of(
-            renderer, self.scene, self.rainfall, sky, shot,
-            past=self._motion, camera_to_vehicle=self._camera_to_vehicle, falls=falls and self.falls,
-        )  # fmt: skip
+        whole = self.frame_input(shot, sky, look)
+        self._meter(renderer, whole)
+        return draw(renderer, whole).request_uint8()
 
     def glass_state(self, number: int) -> GlassState:
         """Figures of the water on the glass at a frame; all 0 without glass."""
-        return glass_state(self.rainfall, self.shot(number), self._motion, self._camera_to_vehicle)
+        return glass_state(self.frame_input(self.shot(number), OVERCAST))
 
     def _motion(self, time_s: float) -> CameraMotion:
         """Orientation and velocity at a time; before the path or drive those of its start."""

@@ -11,7 +11,7 @@ from ..rain.frame import SkyLight
 from ..rain.simulation import OVERCAST, mean_linear_color
 from ..scene.camera import Camera, look_at
 from ..scene.scene import Scene
-from .draw import Thinning, subset_items
+from .level_of_detail import Thinning, subset_items
 from .renderer import Renderer
 
 _VIEWS, _WIDTH, _HEIGHT, _FOV_DEG = 4, 160, 120, 75.0

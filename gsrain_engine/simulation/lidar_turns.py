@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from ..evaluation.lidar.scan import ROOF_M, scan_in_rain, scan_scene
 from ..evaluation.lidar.sensor import LidarSensor
 from ..rain.simulation import RainSimulation
-from ..render.draw import leveled_frame
+from ..render.view import leveled_frame
 from ..water.spray import spray_of
 from .interop.ros2_bag import LidarTurnInRain, ego_pose
 from .playback import RolloutPlayback

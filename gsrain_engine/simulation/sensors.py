@@ -11,11 +11,14 @@ from jaxtyping import Float32, Float64, UInt8, UInt16
 
 from ..rain.settings import RainSettings
 from ..rain.simulation import RainSimulation
-from ..render.camera_optics import CameraOptics
-from ..render.draw import LodCut, RenderView, draw_view, has_spray, request_picture
+from ..render.draw import draw
+from ..render.frame_input import FILTERS, CameraMemory, FrameInput, Mount, Quality
+from ..render.level_of_detail import LodCut
 from ..render.object_labels import draw_labels
+from ..render.passes.spray import has_spray
 from ..render.renderer import PendingImage, Renderer
 from ..render.sky_color import SkyColor, sky_color
+from ..render.view import RenderView
 from ..scene.camera import Camera
 from ..scene.objects import coco_class
 from ..scene.rolling_shutter import rotation_of
@@ -43,7 +46,7 @@ class RigRenderer:
         self._cut = None if needs.depth else cut
         self._rainfall = RainSimulation.start(rain)
         self._sky: SkyColor | None = None
-        self._optics = CameraOptics()
+        self._memory = CameraMemory()
         self._drive: list[_RigMotion] = []
 
     def views(
@@ -64,19 +67,16 @@ class RigRenderer:
                 semantic = semantic_ids(scene)[labels]
                 layers = len(scene.layers)
                 instances = np.where(labels > layers, labels - layers, 0).astype(np.uint16)
-            color, view = self._sky.at(self._rainfall.overcast_at(time_s)), RenderView(camera, time_s, velocity)
-            optics = self._optics.of(
-                self._renderer, scene, self._rainfall, color, view,
-                camera=mounted.name, past=self._past(mounted), camera_to_vehicle=mounted.camera_to_ego[:3, :3],
-            )  # fmt: skip
-            has_own = not has_spray(scene, self._rainfall, time_s)  # spray has no depth of its own
-            with_depth = self._needs.depth and has_own
-            draw_view(self._renderer, scene, self._rainfall, color, view, with_depth=with_depth, thinning=self._cut)
-            depth = np.array(self._renderer.read().depth) if with_depth else None
-            image = request_picture(self._renderer, optics)  # read back while the next picture is drawn
-            if self._needs.depth and not has_own:
-                draw_view(self._renderer, scene, None, color, view, with_depth=True)
-                depth = np.array(self._renderer.read().depth)
+            mount = Mount(self._memory, mounted.name, self._past(mounted), mounted.camera_to_ego[:3, :3])
+            view = RenderView(camera, time_s, velocity)
+            frame = FrameInput.of(scene, self._rainfall, self._sky, view, Quality(thinning=self._cut), mount=mount)
+            with_depth = self._needs.depth and not has_spray(frame)  # spray has no depth of its own
+            picture = draw(self._renderer, frame.changed(quality=Quality(with_depth=with_depth, thinning=self._cut)))
+            depth = np.array(picture.frame().depth) if with_depth else None
+            image = picture.request_uint8()  # read back while the next picture is drawn
+            if self._needs.depth and not with_depth:
+                clear = frame.changed(quality=Quality(with_depth=True), is_clear=True, without=FILTERS)
+                depth = np.array(draw(self._renderer, clear).frame().depth)
             drawn[mounted.name] = partial(_camera_view, image, camera, depth, semantic, instances)
         return {name: view() for name, view in drawn.items()}
 

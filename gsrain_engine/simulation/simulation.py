@@ -13,8 +13,8 @@ from jaxtyping import Float64
 from ..backends import Backend, open_renderer
 from ..rain.settings import RainSettings
 from ..rain.simulation import RainSimulation
-from ..render.draw import lod_cut
 from ..render.export_settings import Lod
+from ..render.level_of_detail import lod_cut
 from ..render.renderer import Renderer
 from ..scene.open import STREET, with_lod_trees
 from ..scene.scene import Actor, PoseTrack, Scene

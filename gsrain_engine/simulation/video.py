@@ -14,15 +14,17 @@ from PIL import Image, ImageDraw, ImageFont
 from ..evaluation.detection.detector import Detection
 from ..evaluation.detection.drawing import draw_boxes
 from ..rain.simulation import RainSimulation
-from ..render.camera_optics import CameraOptics
-from ..render.draw import RenderView, draw_view, lod_cut, request_picture
+from ..render.draw import draw, meter
 from ..render.export_settings import Lod
+from ..render.frame_input import CameraMemory, FrameInput, Mount, Quality
+from ..render.level_of_detail import lod_cut
 from ..render.renderer import PendingImage, Renderer
 from ..render.sky_color import sky_color
 from ..render.video import VideoWriter
+from ..render.view import RenderView
 from ..scene.camera import Camera
 from ..scene.progress import Progress
-from ..scene.scene import RigCamera
+from ..scene.scene import RigCamera, Scene
 from ..water.glass import CameraMotion
 from .agents.base import SensorRequirements
 from .geometry import PlanarBox, arc_lengths, points_along
@@ -74,10 +76,10 @@ class RolloutVideo:
         self._path = np.array([(each.ego.x_m, each.ego.y_m) for each in played.rollout.steps])
         self._solid = occupied_space_of(played.base, road_surface_of(played.base)).places
         self._rainfall = RainSimulation.start(played.scenario.rain)
-        self._optics = CameraOptics()
+        self._memory = CameraMemory()
         start, camera = played.scene(0.0), self._mounted.camera(played.rig_to_world(0.0)).pinhole
         self._sky = sky_color(renderer, start, camera, thinning=self._cut)
-        self._optics.meter(renderer, start, self._rainfall, RenderView(camera, played.scene_time_s(0.0)))
+        meter(renderer, self._frame(start, RenderView(camera, played.scene_time_s(0.0))))
 
     def times(self, fps: float) -> list[float]:
         """Return the times of the frames; the last one is held for a second."""
@@ -125,14 +127,12 @@ class RolloutVideo:
         camera, state = self._mounted.camera(rig).pinhole, played.state(time_s)
         velocity = state.speed_m_s * rig[:3, 0]
         scene_s = played.scene_time_s(time_s)
-        color = self._sky.at(self._rainfall.overcast_at(scene_s))
-        scene, view = played.scene(time_s), RenderView(camera, scene_s, velocity)
-        optics = self._optics.of(
-            self._renderer, scene, self._rainfall, color, view,
-            past=self._motion, camera_to_vehicle=self._mounted.camera_to_ego[:3, :3],
-        )  # fmt: skip
-        draw_view(self._renderer, scene, self._rainfall, color, view, thinning=self._cut)
-        return request_picture(self._renderer, optics)
+        frame = self._frame(played.scene(time_s), RenderView(camera, scene_s, velocity))
+        return draw(self._renderer, frame).request_uint8()
+
+    def _frame(self, scene: Scene, view: RenderView) -> FrameInput:
+        mount = Mount(self._memory, past=self._motion, camera_to_vehicle=self._mounted.camera_to_ego[:3, :3])
+        return FrameInput.of(scene, self._rainfall, self._sky, view, Quality(thinning=self._cut), mount=mount)
 
     def _camera_panel(self, time_s: float, pixels: RgbImage) -> RgbImage:
         """Draw the plan and the agent's latest detections on the camera image."""

@@ -14,16 +14,20 @@ import numpy as np
 from jaxtyping import Float32, Float64
 
 from ..kernels import NOGIL
+from ..rain.settings import RainSettings
 from ..scene.camera import Camera
 from ..scene.ground_water import FILM_SLOPE, STANDING_SLOPE
 from ..scene.lamps import LitLamps
 from ..scene.lens_faces import LensFace
 from ..scene.water_surface import WATER_INDEX, reflectance, unshadowed
+from .films import WaterDepth
+from .leveled_ground import LeveledView
 from .rings import RingField, RingWaves, ring_slope
 
 SCALES = 0.5, 0.25
 """Width and height of the mirror image relative to the picture: rough water blurs much more along its columns."""
 SLOPES = FILM_SLOPE, STANDING_SLOPE
+_MIN_HEIGHT_M = 0.05  # of a camera over the ground
 _ANGLES = 128  # of the tables over the viewing angle
 _FOOTPRINT_PX = np.float32(0.4)  # standard deviation of a pixel of the mirror image
 _TAPS = np.exp(-0.5 * (0.9 * np.arange(-2, 3)) ** 2).astype(np.float32)
@@ -44,6 +48,19 @@ def rows_of_ground(camera: Camera) -> tuple[int, int]:
     x = (np.array([0.0, camera.width]) - camera.cx) / camera.fx
     found = np.flatnonzero((turn[0] * x + turn[1] * y + turn[2] < 0).any(axis=1))
     return (int(found[0]), int(found[-1]) + 1) if len(found) else (0, 0)
+
+
+def has_mirror(view: LeveledView, wetness: float, standing: tuple[float, float]) -> bool:
+    """Return whether wet ground reflects anything into a camera; `standing` is the `standing_water` of that time."""
+    if wetness <= 0 and min(standing) <= 0:
+        return False
+    first, last = rows_of_ground(view.camera)
+    return last > first and bool(view.camera.position[2] > view.ground_m + _MIN_HEIGHT_M)
+
+
+def standing_water(rain: RainSettings, depth: WaterDepth, wetness: float) -> tuple[float, float]:
+    """Share of the area of dips that is under water, and how wet it is: as wet as can be, or as is set by hand."""
+    return depth.filled, 1.0 if rain.wetness is None else wetness
 
 
 def mirrored_camera(camera: Camera, ground_m: float) -> Camera:

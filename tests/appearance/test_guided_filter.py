@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from gsrain_engine.appearance.guided_filter import color_guided_filter, guided_filter
+from gsrain_engine.render.guided_filter import color_guided_filter, guided_filter
 from repository import REPOSITORY
 
 RADIUS, SPREAD = 2, 0.05

@@ -34,7 +34,7 @@ from gsrain_engine.editor.steps import (
     with_rain_saved,
 )
 from gsrain_engine.rain.keyframes import RainKeyframes
-from gsrain_engine.render.draw import RenderView
+from gsrain_engine.render.view import RenderView
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.camera_path import circle_path
 from gsrain_engine.scene.flags import BitMask, SelectionFlags

@@ -24,7 +24,7 @@ from gsrain_engine.editor.viewport.picking import pick, pick_point
 from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.render.draw import RenderView
+from gsrain_engine.render.view import RenderView
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color

@@ -20,8 +20,9 @@ from gsrain_engine.publish.page_scene import CODES, WET_STEPS, finer_means, page
 from gsrain_engine.publish.rain_states import rain_states
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import OVERCAST, RainSimulation
-from gsrain_engine.render.draw import draw_splashes, rain_camera
+from gsrain_engine.render.passes.splashes import draw_splashes
 from gsrain_engine.render.sequence import FrameSequence
+from gsrain_engine.render.view import rain_camera
 from gsrain_engine.scene.camera import look_at
 from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.formats.sog import read_sog

@@ -10,7 +10,7 @@ from gsrain_engine.rain.frame import SkyLight
 from gsrain_engine.rain.settings import RegionBox, load_preset
 from gsrain_engine.rain.shelter_map import CELL_M, ShelterMap, build_shelter_map, shelter_map_of
 from gsrain_engine.rain.simulation import RainSimulation
-from gsrain_engine.render.draw import RenderView, rain_camera
+from gsrain_engine.render.view import RenderView, rain_camera
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color

@@ -45,8 +45,9 @@ def test_a_rainy_copy_has_rain_in_its_images_and_all_else_as_it_was(recording, t
 def test_a_drive_of_kitti_is_copied_with_the_calibration_of_its_day(tmp_path):
     day = tmp_path / "2011_09_26"
     drive = write_kitti(day)
-    copy = tmp_path / "rainy"
-    assert run(["export-rain", str(drive), "-o", str(copy), "--rain", "50"]) == 0
+    copy, rain = tmp_path / "rainy", tmp_path / "white.yaml"
+    rain.write_text("intensity_mm_h: 50\ndrop_color: [1, 1, 1]\n")  # its pictures have one color, that of their sky
+    assert run(["export-rain", str(drive), "-o", str(copy), "--preset", str(rain)]) == 0
     assert relative_files(copy) == relative_files(day)
     for own, other in zip(open_capture(copy), open_capture(drive), strict=True):
         np.testing.assert_allclose(own.camera.world_to_camera, other.camera.world_to_camera, atol=0.02)

@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gsrain_engine.appearance.capture_photos import has_distances, photo_sky
 from gsrain_engine.datasets.capture import Capture, CaptureFrame, Lens
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import RainSimulation
-from gsrain_engine.recordings.pictures import PhotoRain, ScenePictures, has_distances, measured_sky
+from gsrain_engine.recordings.pictures import PhotoRain, ScenePictures
 from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.geometry import linear_to_srgb, srgb_to_linear
@@ -56,10 +57,49 @@ def test_without_distances_or_rain():
 
 
 def test_the_light_of_drops_is_that_of_the_sky_in_the_pictures():
-    np.testing.assert_allclose(measured_sky(wall(30.0)).drops, SKY / 255, atol=0.01)
-    night = wall(30.0)
-    night = replace(night, views=(replace(night[0], image_source=(night[0].image * 0.05).astype(np.uint8)),))
-    assert max(measured_sky(night).drops) < 0.06
+    day = wall(30.0)[0].image
+    np.testing.assert_allclose(photo_sky(day).drops, SKY / 255, atol=0.01)
+    assert max(photo_sky((day * 0.05).astype(np.uint8)).drops) < 0.06
+
+
+def test_a_photograph_by_night_is_the_same_among_photographs_by_day():
+    day = wall(30.0)
+    night = replace(day[0], name="night", image_source=(day[0].image * 0.05).astype(np.uint8))
+    rain = RainSettings(intensity_mm_h=25)
+    alone, among = (
+        PhotoRain(CpuRenderer(), replace(day, views=views), rain) for views in ((night,), (day[0], night))
+    )
+    for view in (day[0], night):
+        picture = among.rainy(view, view.image)
+        if view is night:
+            assert picture.tobytes() == alone.rainy(night, night.image).tobytes()
+
+
+def test_without_distances_the_medium_is_that_of_a_level_road():
+    capture = wall(30.0)
+    view = replace(capture[0], depth_source=None, sky_source=None)
+    rain = RainSettings(intensity_mm_h=50, streaks=False)
+    pictures = PhotoRain(CpuRenderer(), replace(capture, views=(view,)), rain)
+    rainy = pictures.rainy(view, view.image).astype(float)
+    assert (pictures.written, pictures.with_distances) == (1, 0)
+    beta = RainSimulation.start(rain).state.extinction_per_m
+    air, dark = srgb_to_linear(np.array([SKY, WALL]) / 255)
+    for row in (50, 34, 25):  # on the road, far on it, and above the horizon
+        fall = (row + 0.5 - 30) / 80
+        away_m = min(1.5 * np.hypot(1, fall) / fall, 60.0) if fall > 0 else 60.0
+        kept = np.exp(-beta * away_m)
+        expected = 255 * linear_to_srgb(np.array([kept * dark + (1 - kept) * air]))[0]
+        assert rainy[row, 45].mean() == pytest.approx(expected, abs=3)
+    assert rainy[2, 45].mean() == pytest.approx(SKY, abs=2)
+
+
+def test_a_photograph_behind_glass_has_drops():
+    capture = wall(30.0)
+    rain = RainSettings(intensity_mm_h=25, streaks=False, haze="none", glass="windshield")
+    rainy = PhotoRain(CpuRenderer(), capture, rain).rainy(capture[0], capture[0].image)
+    changed = np.abs(rainy.astype(int) - capture[0].image).max(axis=2) > 4
+    assert 0.01 < changed.mean() < 0.9 and rainy.max() <= SKY + 2  # drops show the photograph itself
+    assert PhotoRain(CpuRenderer(), capture, rain).rainy(capture[0], capture[0].image).tobytes() == rainy.tobytes()
 
 
 @pytest.mark.parametrize("lens", [None, BENT])

@@ -12,9 +12,9 @@ from gsrain_engine.rain.frame import RainCamera, SkyLight
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import OVERCAST, RainSimulation
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.render.draw import RenderView, rain_camera
 from gsrain_engine.render.sequence import FrameSequence
 from gsrain_engine.render.sky_color import SkyColor, sky_color
+from gsrain_engine.render.view import RenderView, rain_camera
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
 from gsrain_engine.scene.open import load_sorted_scene

@@ -10,9 +10,11 @@ import pytest
 from gsrain_engine.rain.settings import RegionBox, load_preset
 from gsrain_engine.rain.simulation import OVERCAST, RainSimulation
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.render.draw import RenderView, draw_view
+from gsrain_engine.render.draw import draw
+from gsrain_engine.render.frame_input import FrameInput, Quality
 from gsrain_engine.render.renderer import RenderMode
 from gsrain_engine.render.sky_color import sky_color
+from gsrain_engine.render.view import RenderView
 from gsrain_engine.scene.camera import Camera, look_at, read_camera
 from gsrain_engine.scene.formats.scene_files import read_scene
 from gsrain_engine.scene.gaussians import Gaussians
@@ -49,7 +51,7 @@ def small_shot(width=320, height=200):
 
 
 def frame_of(renderer, scene, shot, rain):
-    draw_view(renderer, scene, RainSimulation.start(rain), OVERCAST, shot, with_depth=True)
+    draw(renderer, FrameInput.of(scene, RainSimulation.start(rain), OVERCAST, shot, Quality(with_depth=True)))
     return renderer.read()
 
 

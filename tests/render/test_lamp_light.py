@@ -10,7 +10,8 @@ from gsrain_engine.rain.frame import SkyLight
 from gsrain_engine.rain.settings import RegionBox
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.render.draw import draw_view
+from gsrain_engine.render.draw import draw
+from gsrain_engine.render.frame_input import FrameInput
 from gsrain_engine.scene.geometry import srgb_to_linear
 from gsrain_engine.scene.lamps import Lamp
 from render.test_backends_agree import raining, small_scene, small_shot
@@ -32,7 +33,7 @@ def light_of(renderer, lamps, shot, **changes):
     scene, images = small_scene(), []
     for each in (lamps, ()):
         rainfall = RainSimulation.start(raining(**changes))
-        draw_view(renderer, replace(scene, lamps=each), rainfall, NIGHT, shot)
+        draw(renderer, FrameInput.of(replace(scene, lamps=each), rainfall, NIGHT, shot))
         images.append(srgb_to_linear(renderer.read().over().astype(float)))
     return images[0] - images[1], images[1]
 

@@ -5,8 +5,10 @@ import pytest
 
 from gsrain_engine.rain.simulation import OVERCAST
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.render.draw import RenderView, draw_view
-from gsrain_engine.render.lamp_reflections import lamp_reflections
+from gsrain_engine.render.draw import draw
+from gsrain_engine.render.frame_input import FrameInput
+from gsrain_engine.render.passes.lamp_pools import lamp_reflections
+from gsrain_engine.render.view import RenderView
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.geometry import srgb_to_linear
@@ -101,7 +103,7 @@ def test_lamps_of_the_scene_itself_do_not_light_dry_ground_twice():
     for lamps in ((), (beam,)):
         renderer = CpuRenderer()
         scene = Scene("road", (far,), ground_m=0.0, lamps=lamps)
-        draw_view(renderer, scene, None, OVERCAST, RenderView(camera()))
+        draw(renderer, FrameInput.of(scene, None, OVERCAST, RenderView(camera())))
         dark.append(renderer.read().rgba.sum())
     assert dark[0] == dark[1]  # baked into the scene's colors
 

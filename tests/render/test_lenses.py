@@ -13,7 +13,9 @@ from gsrain_engine.rain.settings import RainSettings, RegionBox
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.render.cpu.projection import project
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.render.draw import RenderView, draw_view
+from gsrain_engine.render.draw import draw
+from gsrain_engine.render.frame_input import FrameInput, Quality
+from gsrain_engine.render.view import RenderView
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
 from gsrain_engine.scene.lens import Lens
@@ -104,8 +106,10 @@ AHEAD = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
 SMALL = Camera(160, 100, 90.0, 90.0, 81.0, 49.0, AHEAD)
 
 
-def draw(renderer: CpuRenderer, scene: Scene, camera: Camera, rain: RainSimulation | None = None, **view) -> np.ndarray:
-    draw_view(renderer, scene, rain, SKY, RenderView(camera, **view), with_depth=True)
+def shown(
+    renderer: CpuRenderer, scene: Scene, camera: Camera, rain: RainSimulation | None = None, **view
+) -> np.ndarray:
+    draw(renderer, FrameInput.of(scene, rain, SKY, RenderView(camera, **view), Quality(with_depth=True)))
     return renderer.read().over((0.2, 0.3, 0.4))
 
 
@@ -132,12 +136,12 @@ def test_a_picture_through_a_lens_is_that_of_warped_pinhole_pictures(name: str) 
     renderer, scene, rainfall = CpuRenderer(), wall_scene(), RainSimulation.start(RAIN)
     camera = replace(SMALL, lens=LENSES[name])
     fine = finer(camera, 3)
-    through = averaged(draw(renderer, scene, fine, rainfall, focal_px=90.0), 3)
+    through = averaged(shown(renderer, scene, fine, rainfall, focal_px=90.0), 3)
     faces = lens_faces(fine)
-    pictures = [draw(renderer, scene, face.of(fine), rainfall, focal_px=90.0).astype(np.float32) for face in faces]
+    pictures = [shown(renderer, scene, face.of(fine), rainfall, focal_px=90.0).astype(np.float32) for face in faces]
     warped = averaged(assemble(faces, pictures), 3)
     assert psnr_db(through, warped) > 38
-    straight = averaged(draw(renderer, scene, fine.pinhole, rainfall, focal_px=90.0), 3)
+    straight = averaged(shown(renderer, scene, fine.pinhole, rainfall, focal_px=90.0), 3)
     assert psnr_db(through, straight) < 30
 
 
@@ -148,8 +152,8 @@ def test_a_rolling_shutter_is_put_together_from_bands_of_global_ones(name: str |
     rolling = RollingShutter(0.03, direction, (0.06, -0.02, 0.36), (0.003, 0.02, -0.004))
     camera = replace(SMALL, lens=LENSES[name] if name else None, rolling=rolling)
     velocity = camera.camera_to_world[:3, :3] @ rolling.velocity_m_s
-    rolled = draw(renderer, scene, camera, rainfall, time_s=0.5, velocity_m_s=velocity)
-    again = draw(renderer, scene, camera, rainfall, time_s=0.5, velocity_m_s=velocity)
+    rolled = shown(renderer, scene, camera, rainfall, time_s=0.5, velocity_m_s=velocity)
+    again = shown(renderer, scene, camera, rainfall, time_s=0.5, velocity_m_s=velocity)
     assert rolled.tobytes() == again.tobytes()
     banded, axis = np.zeros_like(rolled), 1 if direction == "left" else 0
     size = rolled.shape[axis]
@@ -158,11 +162,11 @@ def test_a_rolling_shutter_is_put_together_from_bands_of_global_ones(name: str |
         part = (first + last) / 2 / size - 0.5
         part = part if direction == "down" else -part
         at = camera.at_readout(part)
-        band = draw(renderer, scene, at, rainfall, time_s=0.5 + part * rolling.readout_s, velocity_m_s=velocity)
+        band = shown(renderer, scene, at, rainfall, time_s=0.5 + part * rolling.readout_s, velocity_m_s=velocity)
         rows = (slice(first, last), slice(None)) if axis == 0 else (slice(None), slice(first, last))
         banded[rows] = band[rows]
     assert psnr_db(rolled, banded) > 45
-    still = draw(renderer, scene, replace(camera, rolling=None), rainfall, time_s=0.5, velocity_m_s=velocity)
+    still = shown(renderer, scene, replace(camera, rolling=None), rainfall, time_s=0.5, velocity_m_s=velocity)
     assert psnr_db(still, banded) < 35
 
 
@@ -175,7 +179,7 @@ def test_tiles_draw_what_the_cpu_does(name: str, open_kind) -> None:
     frames = {}
     for kind in ("cpu", "opengl-tiles"):
         renderer = open_kind(kind)
-        frames[kind] = [draw(renderer, scene, camera, each, time_s=0.5) for each in (None, rain)]
+        frames[kind] = [shown(renderer, scene, camera, each, time_s=0.5) for each in (None, rain)]
     for cpu, tiles in zip(*frames.values(), strict=True):
         assert psnr_db(cpu, tiles) > 50
     falling = [rainy - clear for clear, rainy in frames.values()]
@@ -184,4 +188,4 @@ def test_tiles_draw_what_the_cpu_does(name: str, open_kind) -> None:
 
 def test_quads_say_what_draws_a_lens(open_kind) -> None:
     with pytest.raises(ValueError, match="opengl-quads draws pinhole cameras .* cpu or opengl-tiles"):
-        draw(open_kind("opengl"), wall_scene(), replace(SMALL, lens=LENSES["fisheye"]))
+        shown(open_kind("opengl"), wall_scene(), replace(SMALL, lens=LENSES["fisheye"]))

@@ -16,9 +16,10 @@ from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.viewport.options import CUT_LEVELS, FULL_QUALITY, REFINED
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.render.draw import LodSubset, RenderView, subset_items
+from gsrain_engine.render.level_of_detail import LodSubset, subset_items
 from gsrain_engine.render.opengl.renderer import Screen
 from gsrain_engine.render.renderer import Frame
+from gsrain_engine.render.view import RenderView
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.scene import Layer, Scene

@@ -10,9 +10,9 @@ from gsrain_engine.editor.viewport.options import FULL_QUALITY, QualityLevel
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.render.draw import LodCut, LodSample, LodSubset, subset_items
 from gsrain_engine.render.export import export_sequences
 from gsrain_engine.render.export_settings import ExportSettings
+from gsrain_engine.render.level_of_detail import LodCut, LodSample, LodSubset, subset_items
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.flags import BitMask
 from gsrain_engine.scene.open import with_lod_trees

@@ -11,11 +11,11 @@ from PIL import Image
 from gsrain_engine.editor.recorder import _fitting
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.render.draw import RenderView
 from gsrain_engine.render.export import film_frames, render_video
 from gsrain_engine.render.export_settings import EXPORT_PRESETS, ExportSettings
 from gsrain_engine.render.panorama import EYES_APART_M, compose, views_of
 from gsrain_engine.render.renderer import Frame
+from gsrain_engine.render.view import RenderView
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
 from gsrain_engine.scene.scene import Layer, Scene

@@ -17,9 +17,10 @@ from PIL import Image
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.render.draw import draw_view
+from gsrain_engine.render.draw import draw
 from gsrain_engine.render.export import export_frames, export_sequences, film_frames, frame_numbers
 from gsrain_engine.render.export_settings import ExportSettings
+from gsrain_engine.render.frame_input import FrameInput
 from gsrain_engine.render.images import to_display, to_linear_light, write_labels, write_still
 from gsrain_engine.render.object_labels import draw_labels
 from gsrain_engine.render.opengl.renderer import SplatRenderer
@@ -73,7 +74,7 @@ def test_samples_of_a_pixel_are_averaged_and_the_drops_stay_the_same(scene, rain
     frame = sequence.frame(renderer, 30, sky)
     shot = sequence.shot(30)
     camera = shot.camera.resized(192, 128)
-    draw_view(fine, scene, rainfall, sky.light, replace(shot, camera=camera, focal_px=shot.camera.fx))
+    draw(fine, FrameInput.of(scene, rainfall, sky.light, replace(shot, camera=camera, focal_px=shot.camera.fx)))
     blocks = fine.read().rgba.reshape(64, 2, 96, 2, 4)
     assert frame.rgba.shape == (64, 96, 4)
     assert np.allclose(frame.rgba, blocks.mean(axis=(1, 3)), atol=1e-6)
@@ -82,7 +83,7 @@ def test_samples_of_a_pixel_are_averaged_and_the_drops_stay_the_same(scene, rain
     # Streaks at the picture's edge may fall outside of it at one size and not at the other.
     assert renderer.statistics.drops_drawn == pytest.approx(plain.statistics.drops_drawn, rel=0.02)
     with_more = CpuRenderer()
-    draw_view(with_more, scene, rainfall, sky.light, replace(shot, camera=camera))
+    draw(with_more, FrameInput.of(scene, rainfall, sky.light, replace(shot, camera=camera)))
     assert with_more.statistics.drops_drawn > 1.2 * plain.statistics.drops_drawn
 
 
@@ -93,7 +94,7 @@ def test_sub_frames_share_the_exposure_and_are_averaged_in_linear_light(scene, r
     sky = sequence.sky(renderer)
     frame, light = sequence.frame(renderer, 30, sky), []
     for t in 1.0 + 0.02 * np.array([-0.375, -0.125, 0.125, 0.375]):
-        draw_view(renderer, scene, rainfall, sky.light, replace(sequence.shot_at(t), exposure_share=0.25))
+        draw(renderer, FrameInput.of(scene, rainfall, sky.light, replace(sequence.shot_at(t), exposure_share=0.25)))
         light.append(to_linear_light(renderer.read().rgba))
     assert np.allclose(frame.rgba, to_display(np.mean(light, axis=0)), atol=1e-5)
     still, added = replace(sequence, camera=path.camera(1.0, *SIZE)), []

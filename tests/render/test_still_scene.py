@@ -9,8 +9,10 @@ import pytest
 from gsrain_engine.rain.settings import load_preset
 from gsrain_engine.rain.simulation import OVERCAST, RainSimulation
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.render.draw import RenderView, draw_view
+from gsrain_engine.render.draw import draw
+from gsrain_engine.render.frame_input import FrameInput, Quality
 from gsrain_engine.render.still_scene import StillScene
+from gsrain_engine.render.view import RenderView
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.ground_water import GroundWater
 from gsrain_engine.scene.lamps import Lamp
@@ -69,22 +71,22 @@ def rain(**changes):
     return RainSimulation.start(msgspec.structs.replace(load_preset("8.5"), **changes))
 
 
-def draw(renderer, scene, rainfall, shot, still=None):
-    draw_view(renderer, scene, rainfall, OVERCAST, shot, still=still)
+def shown(renderer, scene, rainfall, shot, still=None):
+    draw(renderer, FrameInput.of(scene, rainfall, OVERCAST, shot, Quality(still=still)))
     return renderer.read().rgba
 
 
 @pytest.mark.parametrize("changes", [{}, {"mirror": False, "splashes": False}, {"visibility_m": 500.0}], ids=str)
 def test_a_picture_over_a_backdrop_is_close_to_an_exact_one(renderer, changes):
     scene, rainfall, still = street(), rain(**changes), StillScene()
-    dry = draw(renderer, scene, rain(intensity_mm_h=0.0, wetness=1.0, **changes), view(1.2))
+    dry = shown(renderer, scene, rain(intensity_mm_h=0.0, wetness=1.0, **changes), view(1.2))
     for time_s in (1.0, 1.2):
-        over = draw(renderer, scene, rainfall, view(time_s), still)
-    exact = draw(renderer, scene, rainfall, view(1.2))
+        over = shown(renderer, scene, rainfall, view(time_s), still)
+    exact = shown(renderer, scene, rainfall, view(1.2))
     error = np.abs(over - exact).mean()
     assert 0 < error < 2e-3
     assert error < 0.1 * np.abs(exact - dry).mean()  # the rain is there
-    empty = draw(renderer, replace(scene, actors=()), rainfall, view(1.2))
+    empty = shown(renderer, replace(scene, actors=()), rainfall, view(1.2))
     board = np.abs(exact - empty).max(axis=2) > 0.05
     assert board.sum() > 200
     assert np.abs(over - exact)[board].mean() < 0.2 * np.abs(exact - empty)[board].mean()  # and the board at its place
@@ -93,27 +95,27 @@ def test_a_picture_over_a_backdrop_is_close_to_an_exact_one(renderer, changes):
 def test_what_stands_still_is_drawn_once(renderer):
     scene, rainfall, still = street(), rain(), StillScene()
     for k in range(5):
-        draw(renderer, scene, rainfall, view(1 + 0.1 * k), still)
+        shown(renderer, scene, rainfall, view(1 + 0.1 * k), still)
     assert renderer.backdrops == [3]  # road, wall, sky
     assert renderer.over == [1] * 5  # the board
     assert still.built_ms == 0
     assert renderer.statistics.gaussians == scene.gaussian_count
-    draw(renderer, scene, rainfall, view(1.5, x=0.2), still)
+    shown(renderer, scene, rainfall, view(1.5, x=0.2), still)
     assert still.built_ms > 0
-    draw(renderer, scene, rain(seed=7), view(1.6, x=0.2), still)
-    draw(renderer, scene, rain(intensity_mm_h=20.0), view(1.7, x=0.2), still)
+    shown(renderer, scene, rain(seed=7), view(1.6, x=0.2), still)
+    shown(renderer, scene, rain(intensity_mm_h=20.0), view(1.7, x=0.2), still)
     hidden = scene.with_member("layers/wall", visible=False)
-    draw(renderer, hidden, rainfall, view(1.8, x=0.2), still)
+    shown(renderer, hidden, rainfall, view(1.8, x=0.2), still)
     assert renderer.backdrops == [3, 3, 3, 3, 2]
 
 
 def test_a_board_that_stands_is_part_of_the_backdrop_and_one_that_stops_stays_out_of_it(renderer):
     rainfall = rain()
-    draw(renderer, street(0.0), rainfall, view(1.0), StillScene())
+    shown(renderer, street(0.0), rainfall, view(1.0), StillScene())
     assert (renderer.backdrops, renderer.over) == ([4], [0])
     still, scene = StillScene(), street(-1.0)
     for time_s in (4.0, 4.95, 5.0):  # its track ends at 5 s
-        draw(renderer, scene, rainfall, view(time_s), still)
+        shown(renderer, scene, rainfall, view(time_s), still)
     assert (renderer.backdrops[1:], renderer.over[1:]) == ([3], [1, 1, 1])
 
 
@@ -121,18 +123,18 @@ def test_mirrors_are_shared_while_their_rings_are_new(renderer, monkeypatch):
     drawn, draw_exact = [], renderer.draw
     monkeypatch.setattr(renderer, "draw", lambda *rest, **options: (drawn.append(1), draw_exact(*rest, **options)))
     scene, rainfall, still = street(), rain(streaks=False), StillScene()
-    pictures = [draw(renderer, scene, rainfall, view(1 + 0.05 * k), still) for k in range(4)]
+    pictures = [shown(renderer, scene, rainfall, view(1 + 0.05 * k), still) for k in range(4)]
     assert len(drawn) == 1  # the mirror's own picture
     puddle = np.s_[60:, 40:120]
     assert np.abs(pictures[2] - pictures[1])[puddle].max() > 1e-3
     for k in range(4, 16):
-        draw(renderer, scene, rainfall, view(1 + 0.05 * k), still)
+        shown(renderer, scene, rainfall, view(1 + 0.05 * k), still)
     assert len(drawn) == 2  # with the board where it is now
 
 
 def test_rain_in_the_light_of_lamps_or_mixed_as_display_colors_is_drawn_exactly(renderer):
     night = replace(street(), lamps=(Lamp(position=(6.0, 2.0, 4.0), intensity_m2=1.0),))
     for scene, rainfall in ((street(), rain(rain_light="display")), (night, rain())):
-        over = draw(renderer, scene, rainfall, view(1.2), StillScene())
-        assert np.array_equal(over, draw(renderer, scene, rainfall, view(1.2)))
+        over = shown(renderer, scene, rainfall, view(1.2), StillScene())
+        assert np.array_equal(over, shown(renderer, scene, rainfall, view(1.2)))
     assert renderer.backdrops == []

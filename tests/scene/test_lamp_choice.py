@@ -9,7 +9,8 @@ from gsrain_engine.rain.frame import SkyLight
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.render.draw import draw_view
+from gsrain_engine.render.draw import draw
+from gsrain_engine.render.frame_input import FrameInput
 from gsrain_engine.scene.lamp_choice import LampChoice, lamp_choice, load_lamps
 from gsrain_engine.scene.lamps import Lamp
 from gsrain_engine.scene.scene import Actor, PoseTrack, Scene
@@ -122,8 +123,11 @@ def test_pictures_have_the_chosen_lamps(tmp_path) -> None:
         ("none", replace(dark, lamps=(lamp,)), "none"), ("dark", dark, None),
     ):  # fmt: skip
         renderer = CpuRenderer()
-        draw_view(
-            renderer, scene, RainSimulation.start(raining(lamps=choice)), SkyLight.uniform((0.05, 0.05, 0.06)), shot
+        draw(
+            renderer,
+            FrameInput.of(
+                scene, RainSimulation.start(raining(lamps=choice)), SkyLight.uniform((0.05, 0.05, 0.06)), shot
+            ),
         )
         images[name] = renderer.read_uint8().copy()
     assert np.array_equal(images["own"], images["file"]) and np.array_equal(images["none"], images["dark"])

@@ -12,9 +12,9 @@ import pytest
 
 from gsrain_engine.render.cpu.projection import project
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.render.draw import LodCut, LodSubset, subset_items
 from gsrain_engine.render.export import merges_details
 from gsrain_engine.render.export_settings import ExportSettings
+from gsrain_engine.render.level_of_detail import LodCut, LodSubset, subset_items
 from gsrain_engine.render.renderer import Frame
 from gsrain_engine.scene import open as scene_files
 from gsrain_engine.scene.camera import Camera
@@ -294,7 +294,7 @@ def test_marked_parts_and_parts_of_other_gaussians_are_drawn_in_full() -> None:
 
 def large_scene(monkeypatch: pytest.MonkeyPatch) -> Scene:
     """Scene of 14,400 Gaussians that counts as large."""
-    for module in ("gsrain_engine.scene.open", "gsrain_engine.render.draw"):
+    for module in ("gsrain_engine.scene.open", "gsrain_engine.render.level_of_detail"):
         monkeypatch.setattr(f"{module}.MIN_GAUSSIANS", 10_000)
     return Scene("wall", (Layer("wall", wall(120, 60.0)), Layer("small", wall(4, 9.0))))
 

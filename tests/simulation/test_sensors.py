@@ -8,6 +8,7 @@ import pytest
 
 from gsrain_engine.backends import open_renderer
 from gsrain_engine.rain.settings import RainSettings
+from gsrain_engine.render.draw import draw
 from gsrain_engine.scene.open import load_street
 from gsrain_engine.simulation import sensors
 from gsrain_engine.simulation.agents.base import SensorRequirements
@@ -25,7 +26,12 @@ AHEAD_M, LEFT_M = 1.7, 0.4
 def test_a_drive_hands_speed_turn_and_time_to_its_cameras(monkeypatch):
     """The camera is ahead of the rear axle, and to the left: it swings out in a turn."""
     shots = []
-    monkeypatch.setattr(sensors, "draw_view", lambda renderer, scene, rain, sky, shot, **more: shots.append(shot))
+
+    def drawn(renderer, frame):
+        shots.append(frame.view)
+        return draw(renderer, frame)
+
+    monkeypatch.setattr(sensors, "draw", drawn)
     simulation = Simulation(scenario(turned_deg=30.0, start_s=1.5, speed_m_s=4.0, leave_m=50.0), small_scene())
     simulation.reset()
     simulation.advance(Control(0.0, 0.3))
@@ -53,7 +59,7 @@ def test_cameras_of_a_drive_draw_the_cut_of_large_scenes_except_with_depth(monke
         assert counts["pixel", False] < counts["off", False] == counts[None, False] == counts["pixel", True]
         error = images["pixel", False].astype(float) - images["off", False]
         assert np.abs(error).max() > 0 and np.sqrt(np.mean(error**2)) < 5
-        monkeypatch.setattr("gsrain_engine.render.draw.MIN_GAUSSIANS", 100)
+        monkeypatch.setattr("gsrain_engine.render.level_of_detail.MIN_GAUSSIANS", 100)
         by_size = Simulation(scenario(picture_width_px=64), scene, SensorRequirements(("front",)), renderer)
         (view,) = by_size.reset().views.values()
         assert view.image.tobytes() == images["pixel", False].tobytes()

@@ -10,7 +10,7 @@ from gsrain_engine.editor.rain_regions import face_handles, inset_view
 from gsrain_engine.editor.steps import steps_since
 from gsrain_engine.rain.keyframes import RainKeyframe, RainKeyframes
 from gsrain_engine.rain.settings import HAZE_REGION
-from gsrain_engine.render.draw import rain_anchor
+from gsrain_engine.render.view import rain_anchor
 from ui.commands.keys import chord
 from ui.commands.table import COMMANDS
 from ui.panels import rain_keyframes

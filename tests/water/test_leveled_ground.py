@@ -10,7 +10,9 @@ from gsrain_engine.appearance.wet_look.water_map import find_water, with_water_m
 from gsrain_engine.rain.settings import load_preset
 from gsrain_engine.rain.simulation import OVERCAST, RainSimulation
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.render.draw import RenderView, draw_view
+from gsrain_engine.render.draw import draw
+from gsrain_engine.render.frame_input import FrameInput
+from gsrain_engine.render.view import RenderView
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from gsrain_engine.scene.gaussians import SH_C0, Gaussians
@@ -110,7 +112,7 @@ def test_reflections_of_objects_on_a_slope_touch_them(moves):
         rain = {"mirror": True, "splashes": False, "streaks": False, "haze": "none"} | changes
         renderer = CpuRenderer()
         rainfall = RainSimulation.start(msgspec.structs.replace(load_preset("8.5"), **rain))
-        draw_view(renderer, scene, rainfall, OVERCAST, RenderView(camera, 1.0))
+        draw(renderer, FrameInput.of(scene, rainfall, OVERCAST, RenderView(camera, 1.0)))
         return renderer.read().rgba
 
     change = picture() - picture(mirror=False)

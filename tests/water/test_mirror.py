@@ -10,8 +10,10 @@ from gsrain_engine.rain.settings import load_preset
 from gsrain_engine.rain.simulation import OVERCAST, RainSimulation
 from gsrain_engine.rain.wetness import flooded_share, water_depth_mm
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.render.draw import RenderView, draw_view
-from gsrain_engine.render.mirror import MirrorReuse
+from gsrain_engine.render.draw import draw
+from gsrain_engine.render.frame_input import FrameInput, Quality
+from gsrain_engine.render.mirror_reuse import MirrorReuse
+from gsrain_engine.render.view import RenderView
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from gsrain_engine.scene.gaussians import SH_C0, Gaussians
@@ -54,7 +56,7 @@ def picture(scene, shot=None, renderer=None, reuse=None, **changes):
     rain = msgspec.structs.replace(load_preset("8.5"), **{"mirror": True, "streaks": False, "haze": "none"} | changes)
     renderer = renderer or CpuRenderer()
     shot = shot or RenderView(camera(), 1.0)
-    draw_view(renderer, scene, RainSimulation.start(rain), OVERCAST, shot, reuse=reuse)
+    draw(renderer, FrameInput.of(scene, RainSimulation.start(rain), OVERCAST, shot, Quality(reuse=reuse)))
     return renderer.read().rgba
 
 

@@ -9,10 +9,11 @@ import pytest
 
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.simulation import OVERCAST, RainSimulation
-from gsrain_engine.render.camera_optics import CameraOptics
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.render.draw import RenderView
+from gsrain_engine.render.draw import filters_of
+from gsrain_engine.render.frame_input import FrameInput, Mount
 from gsrain_engine.render.sequence import FrameSequence
+from gsrain_engine.render.view import RenderView
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.geometry import linear_to_srgb, srgb_to_linear
@@ -232,7 +233,7 @@ def test_without_glass_rain_and_clear_pictures_are_as_before():
     plain, glazed = (sequence_in(msgspec.structs.replace(RAIN, glass=kind)) for kind in ("none", "windshield"))
     sky = plain.sky(renderer)
     view = plain.shot(0)
-    assert CameraOptics().of(renderer, plain.scene, plain.rainfall, OVERCAST, view) is None
+    assert filters_of(renderer, plain.frame_input(view, OVERCAST)) == ()
     assert not np.array_equal(plain.image(renderer, 0, sky), glazed.image(renderer, 0, sky))
     clean = sequence_in(msgspec.structs.replace(RAIN, glass_dirt=0.0))
     assert np.array_equal(plain.image(renderer, 0, None), clean.image(renderer, 0, None))
@@ -251,8 +252,8 @@ def test_a_camera_that_looks_back_has_a_lens_and_no_windshield():
     back = np.array([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
     for kind, has_glass in (("windshield", False), ("lens", True)):
         rainfall = RainSimulation.start(msgspec.structs.replace(RAIN, glass=kind))
-        optics = CameraOptics().of(renderer, scene, rainfall, OVERCAST, view, camera_to_vehicle=back)
-        assert (optics is not None) == has_glass
+        frame = FrameInput.of(scene, rainfall, OVERCAST, view, mount=Mount(camera_to_vehicle=back))
+        assert bool(filters_of(renderer, frame)) == has_glass
 
 
 def test_the_paper_has_no_glass_and_values_have_bounds():

@@ -10,7 +10,10 @@ from gsrain_engine.rain.settings import load_preset
 from gsrain_engine.rain.simulation import OVERCAST, RainSimulation
 from gsrain_engine.rain.wetness import water_depth_mm
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.render.draw import RenderView, draw_splashes, draw_view, rain_camera
+from gsrain_engine.render.draw import draw
+from gsrain_engine.render.frame_input import FrameInput
+from gsrain_engine.render.passes.splashes import draw_splashes
+from gsrain_engine.render.view import RenderView, rain_camera
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.ground_water import GroundWater
 from gsrain_engine.water.impacts import GroundImpacts, LandedDrops, cells_around
@@ -58,7 +61,7 @@ def landed(found, at):
 
 def picture(scene, at=None, renderer=None, **changes):
     renderer = renderer or CpuRenderer()
-    draw_view(renderer, scene, rainfall(**changes), OVERCAST, at or shot())
+    draw(renderer, FrameInput.of(scene, rainfall(**changes), OVERCAST, at or shot()))
     return renderer.read().rgba
 
 

@@ -12,9 +12,11 @@ from gsrain_engine.rain.frame import SkyLight
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.simulation import OVERCAST, RainSimulation
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.render.draw import RenderView, draw_view
+from gsrain_engine.render.draw import draw
+from gsrain_engine.render.frame_input import FrameInput
 from gsrain_engine.render.sequence import FrameSequence
 from gsrain_engine.render.sky_color import SkyColor
+from gsrain_engine.render.view import RenderView
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
 from gsrain_engine.scene.lamps import Lamp
@@ -236,7 +238,7 @@ VIEW = RenderView(Camera.from_fov(160, 100, 50.0, look_at(EYE, EYE + [1, 0, -0.1
 def picture(scene, renderer=None, **changes):
     rain = msgspec.structs.replace(load_preset("12.0"), **{"streaks": False} | changes)
     renderer = renderer or CpuRenderer()
-    draw_view(renderer, scene, RainSimulation.start(rain), OVERCAST, VIEW)
+    draw(renderer, FrameInput.of(scene, RainSimulation.start(rain), OVERCAST, VIEW))
     return renderer.read().rgba[..., :3]
 
 
@@ -280,7 +282,7 @@ def test_lamps_light_spray_by_night():
         for on in (True, False):
             rain = msgspec.structs.replace(load_preset("12.0"), streaks=False, spray=on, haze="none")
             renderer = CpuRenderer()
-            draw_view(renderer, one, RainSimulation.start(rain), dark, VIEW)
+            draw(renderer, FrameInput.of(one, RainSimulation.start(rain), dark, VIEW))
             draws.append(renderer.read().rgba[..., :3])
         light[name] = (draws[0] - draws[1]).max()
     assert light["lit"] > 0.02 > light["dark"]

@@ -15,7 +15,7 @@ from gsrain_engine.editor.rain_regions import FaceHandle, RegionName
 from gsrain_engine.editor.viewport.picking import SkyColorPick
 from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.rain.settings import STREAK_REGION, RegionBox
-from gsrain_engine.render.draw import RenderView, rain_anchor
+from gsrain_engine.render.view import RenderView, rain_anchor
 
 from ..panels.rain import PICK_TOOL
 from ..widgets.draw import WHITE, Canvas, draw_hint, draw_line, draw_lines, draw_point, draw_words

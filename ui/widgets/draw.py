@@ -10,7 +10,7 @@ from jaxtyping import Float64
 
 from gsrain_engine.editor.viewport import picking
 from gsrain_engine.editor.viewport.options import Texture
-from gsrain_engine.render.draw import RenderView
+from gsrain_engine.render.view import RenderView
 
 from .text import visible_name
 

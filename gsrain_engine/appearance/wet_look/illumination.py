@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32
 from msgspec.structs import replace as replace_fields
 
+from ...render.guided_filter import guided_filter
 from ...scene import geometry
 from ...scene.geometry import linear_to_srgb, srgb_to_linear
 from ..base import ClearView, Image, Plane
-from ..guided_filter import guided_filter
 from ..normals import view_directions, view_rays
 from .masks import SurfaceShares, smoothstep
 from .noise import smooth_noise_at

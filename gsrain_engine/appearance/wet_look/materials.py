@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Float32
 
+from ...render.guided_filter import guided_filter
 from ...scene.geometry import srgb_to_linear
 from ...scene.water_surface import WATER_REFLECTANCE, wet_albedo
 from ..base import ClearView, Image, Plane
-from ..guided_filter import guided_filter
 from .illumination import LUMINANCE, overcast_sky
 from .masks import SurfaceShares, smoothstep
 from .noise import smooth_noise_at

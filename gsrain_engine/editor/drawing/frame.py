@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from ...rain.frame import SkyLight
 from ...rain.simulation import RainSimulation
-from ...render.draw import RenderView
 from ...render.opengl.buffers import Harmonics
 from ...render.renderer import Color, RenderMode
 from ...render.sky_color import SkyColor
+from ...render.view import RenderView
 from ...scene.scene import RigCamera, Scene
 from ...simulation.sensors import camera_of_width
 from ..viewport.options import FULL_QUALITY, QualityLevel, Texture

@@ -10,7 +10,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float32
 
-from ...render.draw import LodSubset
+from ...render.level_of_detail import LodSubset
 from ...scene.camera import Camera
 from ...scene.flags import BitMask
 from ...scene.gaussians import Gaussians, IdentityKey

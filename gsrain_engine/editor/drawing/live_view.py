@@ -16,13 +16,16 @@ from ...backends import measure_device, rasterizer_for
 from ...compile_cache import has_kernels
 from ...rain.frame import SkyLight
 from ...rain.simulation import RainSimulation
-from ...render.draw import LodCut, LodSubset, Thinning, draw_view
+from ...render.draw import draw
+from ...render.frame_input import CameraMemory, FrameInput, Mount, Quality
 from ...render.images import write_png
-from ...render.mirror import MirrorReuse
+from ...render.level_of_detail import LodCut, LodSubset, Thinning
+from ...render.mirror_reuse import MirrorReuse
 from ...render.opengl.buffers import GpuArrays
 from ...render.opengl.context import check_context
 from ...render.opengl.renderer import Screen, SplatRenderer
-from ...render.renderer import Color, Renderer, RenderMode
+from ...render.passes.glass import ego_motion
+from ...render.renderer import Color, Picture, Renderer, RenderMode
 from ...render.sky_color import SkyColor, sample_sky
 from ...render.still_scene import StillScene
 from ...scene.camera import Camera
@@ -30,12 +33,10 @@ from ...scene.gaussians import Gaussians, IdentityKey
 from ...scene.lod_tree import MIN_GAUSSIANS, PIXEL, merged_harmonics
 from ...scene.scene import Actor, Layer, RigCamera, Scene
 from ...threads import half_of_cores
-from ...water.refraction import GlassView
 from ..viewport.options import FULL_QUALITY, QualityLevel, Texture
 from ..viewport.picking import mean_color_in_rectangle
 from ..viewport_state import PendingScene
 from .frame import DrawnImage, DrawResult, MosaicInput, MosaicResult, RenderInput, SplitPane
-from .live_glass import LiveGlass, has_glass
 from .live_trees import LiveCut, LiveTrees
 from .textures import CpuTexture
 
@@ -90,7 +91,9 @@ class LiveView:
             self._waits_until = 0.0 if self._compiles else time.perf_counter() + _LOADING_S
         self._on_cpu = self._gpu_is_full = self._can_draw = self._is_empty = False
         self._panes = (_PaneImage(context), _PaneImage(context))
-        self._glass = LiveGlass(context)
+        self._memory = CameraMemory()
+        self._filtered: dict[Hashable, moderngl.Texture] = {}
+        """Textures of pictures through glass, by camera."""
         self._pane_count = 1
         self._has_built = False
         self._sky = SkyColorSampler()
@@ -195,15 +198,15 @@ class LiveView:
         if images.is_playing:
             quality = _MERGED_ASIDE if self._on_cpu and self.trees.cover([images.scene]) else _FEWER_ASIDE
         thinning = self.thinning(quality, images.scene)
-        name, view, turn = f"rig/{camera.name}", images.view_of(camera), camera.camera_to_ego[:3, :3]
-        glass = self._glass.before(self._renderer, images.scene, images.rainfall, images.sky, view, name, turn)
+        scene, name, view = images.scene, f"rig/{camera.name}", images.view_of(camera)
+        past = ego_motion(scene, view).motion
+        mount = Mount(self._memory, name, past, camera.camera_to_ego[:3, :3])
+        reflected = thinning.reflected if isinstance(thinning, LiveCut) else None
+        drawn = Quality(thinning=thinning, reflected=reflected, reuse=reuse if images.is_playing else None)
+        frame = FrameInput.of(scene, images.rainfall, images.sky, view, drawn, without={"sensor"}, mount=mount)
         with half_of_cores() if images.is_playing else nullcontext():
-            draw_view(
-                self._renderer, images.scene, images.rainfall, images.sky, view, thinning=thinning,
-                reflected=thinning.reflected if isinstance(thinning, LiveCut) else None,
-                reuse=reuse if images.is_playing else None,
-            )  # fmt: skip
-        return screen.show(self._picture(glass, name, images.background), images.background, 2.0**images.gain_ev)
+            picture = draw(self._renderer, frame)
+        return screen.show(self._texture(picture, name, images.background), images.background, 2.0**images.gain_ev)
 
     def _substitutes_cpu(self, scene: Scene) -> bool:
         """Return whether OpenGL draws until the CPU renderer is ready."""
@@ -214,11 +217,20 @@ class LiveView:
     def _renderer(self) -> Renderer:
         return self._cpu.renderer if self._cpu is not None and self._on_cpu else self._opengl
 
-    def _picture(self, glass: GlassView | None, camera: Hashable, background: Color) -> moderngl.Texture:
-        """Texture of the renderer's last image, through the glass in front of a camera."""
-        if glass is not None:
-            return self._glass.texture(glass, self._renderer, background, camera)
-        return self._cpu.upload() if self._cpu is not None and self._on_cpu else self._opengl.picture
+    def _texture(self, picture: Picture, camera: Hashable, background: Color) -> moderngl.Texture:
+        """Texture of a picture that was just drawn; of one behind glass, that of its camera."""
+        if not picture.filters:
+            return self._cpu.upload() if self._cpu is not None and self._on_cpu else self._opengl.picture
+        pixels = picture.read_uint8(background)
+        height, width = pixels.shape[:2]
+        texture = self._filtered.get(camera)
+        if texture is None or texture.size != (width, height):
+            if texture is not None:
+                texture.release()
+            texture = self._filtered[camera] = self.context.texture((width, height), 3, alignment=1)
+            texture.filter = moderngl.NEAREST, moderngl.NEAREST
+        texture.write(pixels, alignment=1)
+        return texture
 
     def _release_closed_scene(self, frame: RenderInput) -> None:
         """Free the resources of the previous scene, once, after it was closed."""
@@ -268,19 +280,20 @@ class LiveView:
         rainfall = side.rainfall if scene.members and (self._on_cpu or not self._compiles) else None
         selection = frame.selection and frame.screenshot is None
         thinning = self.thinning(quality, scene, frame.mode, exact=frame.screenshot is not None)
-        glass, name = None, f"pane/{self._panes.index(pane)}"
-        if rainfall is not None and has_glass(rainfall, frame.mode):
-            glass = self._glass.before(self._renderer, scene, rainfall, sky, frame.view, name)
+        name = f"pane/{self._panes.index(pane)}"
+        drawn = Quality(
+            frame.mode, thinning=thinning, reflected=thinning.reflected if isinstance(thinning, LiveCut) else None,
+            selection=selection, reuse=None if quality.is_exact else pane.reuse,
+            still=pane.still if quality.has_backdrop else None,
+        )  # fmt: skip
+        mount = Mount(self._memory, name)
+        whole = FrameInput.of(scene, rainfall, sky, frame.view, drawn, without={"sensor"}, mount=mount)
         is_alone = quality.is_exact or not (frame.is_moving or frame.is_playing)
         with self._interruptible(), nullcontext() if is_alone else half_of_cores():
-            draw_view(
-                self._renderer, scene, rainfall, sky, frame.view, look=frame.mode, thinning=thinning,
-                reflected=thinning.reflected if isinstance(thinning, LiveCut) else None, selection=selection,
-                reuse=None if quality.is_exact else pane.reuse, still=pane.still if quality.has_backdrop else None,
-            )  # fmt: skip
-        picture = self._picture(glass, name, frame.background)
+            picture = draw(self._renderer, whole)
         sharpness = SHARPNESS if quality.scale < 1 else 0.0
-        pane.texture = pane.screen.show(picture, frame.background, 2.0**frame.gain_ev, sharpness)
+        texture = self._texture(picture, name, frame.background)
+        pane.texture = pane.screen.show(texture, frame.background, 2.0**frame.gain_ev, sharpness)
         pane.state, pane.scene = state, scene
         return True
 
@@ -403,8 +416,8 @@ class _PaneImage:
 def _fingerprint(frame: RenderInput, scene: Scene, rainfall: RainSimulation, sky: SkyLight) -> Hashable:
     """Everything that a pane's image depends on; scenes and rains are values and compare by identity."""
     view, camera, time_s = frame.view, frame.view.camera, frame.view.time_s
-    raining = has_glass(rainfall, frame.mode)
-    raining = raining or (frame.mode == "splats" and not rainfall.state_at(time_s).is_clear)
+    has_glass = rainfall.rain.glass != "none"
+    raining = frame.mode == "splats" and (has_glass or not rainfall.state_at(time_s).is_clear)
     wet = rainfall.wetness_at(time_s), rainfall.soaked_share_at(time_s)
     ground = (*wet, rainfall.overcast_at(time_s), rainfall.rain.mirror)
     return (

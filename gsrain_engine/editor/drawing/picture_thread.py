@@ -8,8 +8,8 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import moderngl
 import numpy as np
 
-from ...render.draw import RenderView
 from ...render.renderer import RenderMode
+from ...render.view import RenderView
 from ...threads import lower_thread_priority
 from .frame import DrawResult, MosaicInput, MosaicResult, RenderInput, SplitPane
 from .live_view import LiveView, MosaicImages, WindowBackend

@@ -9,12 +9,14 @@ from jaxtyping import UInt8
 
 from ...rain.settings import RainSettings
 from ...rain.simulation import OVERCAST, RainSimulation
-from ...render.camera_optics import CameraOptics
 from ...render.cpu.renderer import CpuRenderer
-from ...render.draw import LodCut, LodSubset, RenderView, Thinning, draw_view, read_picture
-from ...render.mirror import MirrorReuse
+from ...render.draw import draw
+from ...render.frame_input import CameraMemory, FrameInput, Mount, Quality
+from ...render.level_of_detail import LodCut, LodSubset, Thinning
+from ...render.mirror_reuse import MirrorReuse
 from ...render.renderer import Renderer
 from ...render.sky_color import SkyColor, sky_color
+from ...render.view import RenderView
 from ...scene.camera import Camera
 from ...scene.lod_tree import MIN_GAUSSIANS, PIXEL
 from ...scene.scene import Scene
@@ -77,7 +79,7 @@ class RemotePictures:
         self._scene, self._rainfall = scene, RainSimulation.start(rain)
         self._skies: dict[bool, SkyColor] = {}
         self._subsets: dict[float, LodSubset] = {}
-        self._optics = CameraOptics()
+        self._memory = CameraMemory()
         self.trees = LiveTrees()
         """Trees of the scene, for pictures by the processor."""
 
@@ -87,9 +89,9 @@ class RemotePictures:
         Raises `ValueError` for rain that names a missing calibration, sensor or file of lamps.
         """
         if rain != self._rainfall.rain:
-            self._rainfall, self._optics = RainSimulation.start(rain), CameraOptics()
+            self._rainfall, self._memory = RainSimulation.start(rain), CameraMemory()
         if scene is not self._scene:
-            self._scene, self._skies, self._optics = scene, {}, CameraOptics()
+            self._scene, self._skies, self._memory = scene, {}, CameraMemory()
             for subset in self._subsets.values():
                 subset.forget_all_but(member.gaussians for member in scene.members)
 
@@ -110,20 +112,18 @@ class RemotePictures:
         width, height = (max(1, round(quality.scale * side)) for side in (whole.width, whole.height))
         if (width, height) != (whole.width, whole.height):
             view = replace(view, camera=whole.resized(width, height), focal_px=float(np.sqrt(whole.fx * whole.fy)))
-        sky = self._sky().at(rainfall.overcast_at(view.time_s))
-        optics = self._optics.of(self._renderer, scene, rainfall, sky, view, camera=name)
+        sky = self._sky()
         if isinstance(self._renderer, CpuRenderer):
             self._renderer.checkpoint = checkpoint
             self.trees.follow([scene], at_once=True)
             viewer.budget.has_cuts = self.trees.cover([scene])
         thinning = self._thinning(quality)
         try:
-            draw_view(
-                self._renderer, scene, rainfall, sky, view, thinning=thinning,
-                reflected=thinning.reflected if isinstance(thinning, LiveCut) else None,
-                reuse=None if quality.is_exact else viewer.reuse,
-            )  # fmt: skip
-            return read_picture(self._renderer, optics)
+            reflected = thinning.reflected if isinstance(thinning, LiveCut) else None
+            reuse = None if quality.is_exact else viewer.reuse
+            drawn = Quality(thinning=thinning, reflected=reflected, reuse=reuse)
+            mount = Mount(self._memory, name)
+            return draw(self._renderer, FrameInput.of(scene, rainfall, sky, view, drawn, mount=mount)).read_uint8()
         finally:
             if isinstance(self._renderer, CpuRenderer):
                 self._renderer.checkpoint = lambda: None

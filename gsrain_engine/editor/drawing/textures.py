@@ -16,13 +16,14 @@ from ...compile_cache import compiled_kernels, has_kernels, mark_kernels, stores
 from ...rain.frame import RainCamera
 from ...rain.settings import RainSettings
 from ...rain.simulation import OVERCAST, RainSimulation
-from ...render.camera_optics import CameraOptics
 from ...render.cpu.renderer import CpuRenderer
 from ...render.cpu.splats import FEW
-from ...render.draw import RenderView, draw_view
+from ...render.draw import draw
+from ...render.frame_input import FrameInput, Quality
 from ...render.opengl.shaders import load_program
 from ...render.renderer import RenderMode
 from ...render.still_scene import StillScene
+from ...render.view import RenderView
 from ...scene.camera import Camera, look_at
 from ...scene.gaussians import Gaussians
 from ...scene.ground_water import GroundWater
@@ -273,13 +274,12 @@ def _draw_water(renderer: CpuRenderer) -> None:
         for lamps in ("none", None):
             rain = RainSettings(intensity_mm_h=intensity, wetness=wetness, lamps=lamps, glass="windshield")
             rainfall = RainSimulation.start(rain)
-            glass = CameraOptics().glass_view(renderer, scene, rainfall, OVERCAST, shot)
-            draw_view(renderer, scene, rainfall, OVERCAST, shot)
-            draw_view(renderer, scene, rainfall, OVERCAST, shot, still=StillScene())
-            if glass is not None:
-                picture = renderer.read_uint8()
-                picture[20:24, 30:34] = 255  # a lamp, whose light the film on wiped glass spreads
-                glass.picture(picture)
+            draw(renderer, FrameInput.of(scene, rainfall, OVERCAST, shot, Quality(still=StillScene())))
+            picture = draw(renderer, FrameInput.of(scene, rainfall, OVERCAST, shot))
+            pixels = picture.read_uint8()
+            pixels[20:24, 30:34] = 255  # a lamp, whose light the film on wiped glass spreads
+            for each in picture.filters:
+                each.picture(pixels)
 
 
 def _balls(count: int) -> Gaussians:

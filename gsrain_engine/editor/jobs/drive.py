@@ -12,7 +12,7 @@ from msgspec import Meta
 
 from ...backends import open_renderer
 from ...rain.settings import HEAVIEST_MM_H, RainSettings
-from ...render.draw import lod_cut
+from ...render.level_of_detail import lod_cut
 from ...render.renderer import Renderer
 from ...safe_io.limits import read_file
 from ...scene.formats.scene_folder import FileCache

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int64
 
 from ...kernels import NOGIL
-from ...render.draw import RenderView
+from ...render.view import RenderView
 from ...scene.camera import Camera
 from ...scene.flags import BitMask
 from ...scene.scene import DrawItem, Scene

@@ -15,7 +15,7 @@ from ...kernels import NOGIL
 from ...render.cpu.compositing import color_operator, color_operator_transpose
 from ...render.cpu.projection import project
 from ...render.cpu.splats import NEAR_M
-from ...render.draw import RenderView
+from ...render.view import RenderView
 from ...scene.camera import Camera
 from ...scene.flags import BitMask
 from ...scene.scene import DrawItem, Scene

@@ -10,8 +10,8 @@ from jaxtyping import Float64, Int64
 from ...rain.simulation import mean_linear_color
 from ...render.cpu.projection import project
 from ...render.cpu.splats import Splats
-from ...render.draw import RenderView
 from ...render.renderer import Color, Renderer
+from ...render.view import RenderView
 from ...scene.camera import Camera
 from ...scene.geometry import matrices_from_quaternions
 from ...scene.scene import Actor, DrawItem, Layer, Scene

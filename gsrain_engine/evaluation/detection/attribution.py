@@ -120,7 +120,7 @@ def rain_attributions(
     """
     lacking: set[str] = set()
     if in_front:
-        lacking = set(factor_names()) - {"streaks", "medium"}
+        lacking = set(factor_names()) - {"streaks", "medium", "glass"}
     elif not scene.has_wet_colors:
         lacking = set(ON_WET_GROUND)
     else:

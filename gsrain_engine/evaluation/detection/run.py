@@ -12,16 +12,18 @@ import numpy as np
 from jaxtyping import UInt8
 from msgspec import structs
 
-from ...appearance.rainy_photo import rain_on_photo
+from ...appearance.capture_photos import CapturePhotos
 from ...appearance.scene_views import PlacedCamera
-from ...datasets.capture import Capture
+from ...datasets.capture import Capture, CaptureFrame
 from ...datasets.undistort import undistort_frame
 from ...rain.settings import RainSettings
 from ...rain.simulation import RainSimulation
-from ...render.camera_optics import CameraOptics, ego_motion
-from ...render.draw import RenderView, draw_view, ego_view, read_picture
+from ...render.draw import draw, meter
+from ...render.frame_input import CameraMemory, FrameInput, Mount
+from ...render.passes.glass import ego_motion
 from ...render.renderer import Renderer
 from ...render.sky_color import SkyColor
+from ...render.view import RenderView, ego_view
 from ...safe_io.limits import read_file
 from ...scene.files import whole_file
 from ...scene.objects import scene_objects
@@ -99,7 +101,9 @@ class EvaluatedFrame:
     shot: RenderView
     truths: tuple[LabeledObject, ...]
     original: Callable[[], UInt8[np.ndarray, "h w 3"]] | None = None
-    """Reads the original photograph; None if there is none."""
+    """Reads the original photograph, without distortion and in the size of the view; None if there is none."""
+    recorded: CaptureFrame | None = None
+    """That photograph as it was recorded."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,7 +125,7 @@ class EvaluatedImage:
 class ConditionRenderer:
     """Renders the images of views. The seed fixes the drops, so that rain rates of one seed are comparable.
 
-    Without a scene, rain falls in front of the photographs, as if their content were far behind it.
+    Without a scene, rain is drawn over the recorded photographs, as `gsrain export-rain` draws it.
     """
 
     renderer: Renderer
@@ -129,14 +133,14 @@ class ConditionRenderer:
     rain: RainSettings
     """All settings except rain rate and seed."""
     sky: SkyColor
-    is_in_front: bool = False
-    """Draw rain in front of the original photographs."""
+    photos: CapturePhotos | None = None
+    """Photographs over which rain is drawn, in place of the scene."""
     variants: Mapping[str, RainVariant] = field(default_factory=dict[str, RainVariant])
     _rains: dict[tuple[float, int, str], RainSimulation] = field(
         default_factory=dict[tuple[float, int, str], RainSimulation]
     )
 
-    _optics: CameraOptics = field(default_factory=CameraOptics)
+    _memory: CameraMemory = field(default_factory=CameraMemory)
 
     def take(self, frame: EvaluatedFrame, trial: Condition) -> UInt8[np.ndarray, "h w 3"]:
         """Render one image, deterministically; with wet colors in rain if the scene has them."""
@@ -144,9 +148,10 @@ class ConditionRenderer:
             assert frame.original is not None
             return frame.original()
         rainfall = self._rainfall(trial)
-        if self.is_in_front:
-            assert frame.original is not None
-            return rain_on_photo(self.renderer, self.scene, rainfall, frame.shot, frame.original(), self.sky.light)
+        if self.photos is not None:
+            assert frame.recorded is not None
+            rainy = draw(self.renderer, self.photos.frame(frame.recorded, rainfall)).read_uint8()
+            return undistort_frame(replace(frame.recorded, image_source=rainy), frame.shot.camera.width).image
         return self._drawn(frame, rainfall, self._variant(trial), is_clear=trial.kind == "clear")
 
     def _variant(self, trial: Condition) -> RainVariant:
@@ -158,21 +163,18 @@ class ConditionRenderer:
             while len(self._rains) >= _MAX_RAINS:
                 del self._rains[next(iter(self._rains))]
             rain = structs.replace(self._variant(trial).rain, intensity_mm_h=key[0], seed=key[1])
-            self._rains[key] = RainSimulation.start(rain.without_medium if self.is_in_front else rain)
+            self._rains[key] = RainSimulation.start(rain)
         return self._rains[key]
 
     def _drawn(
         self, frame: EvaluatedFrame, rainfall: RainSimulation, variant: RainVariant, *, is_clear: bool
     ) -> UInt8[np.ndarray, "h w 3"]:
-        overcast = 0.0 if is_clear else rainfall.overcast_at(frame.shot.time_s)
-        sky, past = variant.sky.at(overcast), ego_motion(self.scene, frame.shot)
-        self._optics.meter(self.renderer, self.scene, rainfall, frame.shot, frame.name)  # in the same light for all
-        optics = self._optics.of(
-            self.renderer, variant.scene, rainfall, sky, frame.shot,
-            camera=frame.name, past=past.motion, camera_to_vehicle=past.camera_to_ego, falls=not is_clear,
-        )  # fmt: skip
-        draw_view(self.renderer, variant.scene, None if is_clear else rainfall, sky, frame.shot)
-        return read_picture(self.renderer, optics)
+        past = ego_motion(self.scene, frame.shot)
+        mount = Mount(self._memory, frame.name, past.motion, past.camera_to_ego)
+        meter(self.renderer, FrameInput.of(self.scene, rainfall, self.sky, frame.shot, mount=mount))  # same for all
+        scene, sky = variant.scene, variant.sky
+        drawn = FrameInput.of(scene, rainfall, sky, frame.shot, is_clear=is_clear, mount=mount)
+        return draw(self.renderer, drawn).read_uint8()
 
 
 _MAX_RAINS = 256  # number of rains kept ready
@@ -394,14 +396,14 @@ def recorded_frames(
     views = {view.name: view for view in capture}
     frames: list[EvaluatedFrame] = []
     for each in placed:
-        view = undistort_frame(views[each.name], each.camera.width)
+        recorded = views[each.name]
+        view = undistort_frame(recorded, each.camera.width)
         if labels is None:
             truths = ground_truth_from_boxes(capture.boxes, view.camera, view.time_s)
         else:
             truths = _labels_of(labels, each.name)
-        frames.append(
-            EvaluatedFrame(each.name, ego_view(scene, each.camera, each.time_s), truths, lambda view=view: view.image)
-        )
+        shot = ego_view(scene, each.camera, each.time_s)
+        frames.append(EvaluatedFrame(each.name, shot, truths, lambda view=view: view.image, recorded))
     return frames
 
 

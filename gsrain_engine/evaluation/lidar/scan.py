@@ -23,7 +23,7 @@ from ...rain.simulation import RainSimulation
 from ...rain.wetness import water_depth_mm
 from ...render.cpu.projection import project
 from ...render.cpu.tiles import TILE, bin_into_tiles
-from ...render.draw import leveled_frame
+from ...render.view import leveled_frame
 from ...scene.camera import Camera
 from ...scene.files import whole_file
 from ...scene.geometry import matrices_from_quaternions

@@ -77,13 +77,10 @@ class CpuRenderer:
         stages = {"project": 0.0, "sort": 0.0, "draw": 0.0}
         self.statistics = RenderStatistics(sum(part.drawn_count for part in parts), stages_ms=stages)
         self.checkpoint()
+        falling, lit, medium = list[DrawItem](), None, None
+        if rain is not None and look == "splats":
+            falling, lit, medium = self._falling(rain), rain.lamp_light if rain.is_linear else None, rain.medium
         with timed(stages, "project"):
-            falling: list[DrawItem] = []
-            lit: LampLight | None = None
-            if rain is not None and look == "splats":
-                lit = rain.lamp_light if rain.is_linear else None
-                falling = [DrawItem(each, np.eye(4)) for each in (rain.lit_streaks, rain.drawn_haze) if len(each)]
-                self.statistics.drops_drawn, self.statistics.haze_drawn = len(rain.drops.numbers), len(rain.haze)
             flags = [*[None] * len(parts), *(np.ones(each.drawn_count, np.bool_) for each in falling)]
             held = range(len(parts), len(parts) + (rain is not None and len(rain.lit_streaks) > 0)) if falling else ()
             splats = project(
@@ -91,8 +88,8 @@ class CpuRenderer:
             )
             self._caches.release_unused()
             splats = _color_by_mode(look, splats, parts, camera)
-            medium = rain.medium if rain is not None and look == "splats" else None
-            if rain is not None and medium is not None:
+        if rain is not None and medium is not None:
+            with timed(stages, "medium"):
                 dim_by_medium(splats, camera, medium, is_linear=rain.is_linear)
         self.checkpoint()
         with timed(stages, "sort"):
@@ -123,6 +120,13 @@ class CpuRenderer:
                 self._frame = _within_lens(self._frame, camera)
         self.statistics.splats_drawn = len(order)
 
+    def _falling(self, rain: RainFrame) -> list[DrawItem]:
+        """Streaks, and haze with splashes."""
+        with timed(self.statistics.stages_ms, "streaks"):
+            found = [DrawItem(each, np.eye(4)) for each in (rain.lit_streaks, rain.drawn_haze) if len(each)]
+            self.statistics.drops_drawn, self.statistics.haze_drawn = len(rain.drops.numbers), len(rain.haze)
+        return found
+
     def draw_backdrop(self, parts: Sequence[DrawItem], camera: Camera, rain: RainFrame | None) -> Backdrop:
         """Draw what stands still of a scene, for any number of pictures by `draw_over`."""
         self.checkpoint()
@@ -143,11 +147,8 @@ class CpuRenderer:
         count = backdrop.gaussians + sum(part.drawn_count for part in moving)
         self.statistics = RenderStatistics(count, stages_ms=stages)
         self.checkpoint()
+        falling = list[DrawItem]() if rain is None else self._falling(rain)
         with timed(stages, "project"):
-            falling = list[DrawItem]()
-            if rain is not None:
-                falling = [DrawItem(each, np.eye(4)) for each in (rain.streaks, rain.drawn_haze) if len(each)]
-                self.statistics.drops_drawn, self.statistics.haze_drawn = len(rain.drops.numbers), len(rain.haze)
             flags = [*[None] * len(moving), *(np.ones(len(each.gaussians), np.bool_) for each in falling)]
             splats = project([*moving, *falling], camera, flags, caches=self._caches)
             if moving and rain is not None and rain.medium is not None:

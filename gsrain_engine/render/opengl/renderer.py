@@ -18,7 +18,6 @@ from ...scene.lens import PixelRays
 from ...scene.scene import DrawItem
 from ...water.mirror import LensMirror, Mirror
 from ..cpu.compositing import expected
-from ..mirror import film_items
 from ..renderer import (
     FARTHEST_M,
     MAX_FRAGMENTS,
@@ -32,6 +31,7 @@ from ..renderer import (
 )
 from .buffers import GpuArrays, GrowableBuffer, Harmonics, ProjectedSplatBuffer, check_gpu_memory
 from .context import check_context, is_software
+from .films import film_items
 from .projection import ProjectionPass, sky_uniforms
 from .shaders import GpuTimers, Switches, load_compute_shader, load_program
 from .sort import SLOTS, CpuSort, RadixSort, count_in

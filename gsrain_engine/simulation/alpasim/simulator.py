@@ -20,10 +20,12 @@ from ...backends import Backend, open_renderer
 from ...evaluation.lidar.scan import scan_in_rain, scan_scene
 from ...evaluation.lidar.sensor import SENSORS, LidarSensor
 from ...rain.simulation import RainSimulation
-from ...render.camera_optics import CameraOptics
-from ...render.draw import LodCut, RenderView, draw_view, ego_view, leveled_frame, lod_cut, read_picture
+from ...render.draw import draw
+from ...render.frame_input import FrameInput, Mount, Quality
+from ...render.level_of_detail import LodCut, lod_cut
 from ...render.renderer import Renderer
 from ...render.sky_color import SkyColor, sky_color
+from ...render.view import RenderView, ego_view, leveled_frame
 from ...scene.camera import DEFAULT_EXPOSURE_S, Camera
 from ...scene.formats.nurec import logical_cameras, sensor_height_m, start_s, timestamps_us
 from ...scene.geometry import matrices_from_quaternions, quaternions_from_matrices
@@ -212,17 +214,14 @@ class Simulator:
         camera = replace(camera, world_to_camera=np.linalg.inv(facing), exposure_s=exposure_s)
         velocity = moment.velocity_m_s
         view = RenderView(camera, time_s, velocity) if scene.ego is None else ego_view(scene, camera, time_s)
-        sky = served.sky.at(served.rainfall.overcast_at(time_s))
         own = None if mounted is None else mounted.camera_to_ego[:3, :3] @ turn
 
         def past(then_s: float) -> CameraMotion:
             return CameraMotion(facing[:3, :3], velocity, facing[:3, 3] + (then_s - time_s) * velocity)
 
-        optics = CameraOptics().of(
-            self.renderer, scene, served.rainfall, sky, view, past=past, camera_to_vehicle=own
-        )  # metered anew for each picture: it must not depend on others
-        draw_view(self.renderer, scene, served.rainfall, sky, view, thinning=served.cut)
-        return read_picture(self.renderer, optics)
+        mount = Mount(past=past, camera_to_vehicle=own)  # metered anew: a picture must not depend on others
+        frame = FrameInput.of(scene, served.rainfall, served.sky, view, Quality(thinning=served.cut), mount=mount)
+        return draw(self.renderer, frame).read_uint8()
 
     def lidar(self, request: Any) -> Any:
         """`LidarRenderReturn` of a `LidarRenderRequest`: all beams at the end of the turn, points in the sensor frame.

@@ -17,7 +17,9 @@ from msgspec import structs
 
 from ...evaluation.lidar.scan import scan_in_rain, scan_scene
 from ...evaluation.lidar.sensor import SENSORS
-from ...render.draw import RenderView, draw_view, leveled_frame
+from ...render.draw import draw
+from ...render.frame_input import FrameInput, Quality
+from ...render.view import RenderView, leveled_frame
 from ...scene.camera import Camera
 from ...scene.scene import Actor, PoseTrack, RigCamera, Scene
 from ...water.spray import spray_of
@@ -125,9 +127,9 @@ class CanvasRenderer:
 
     def _depth(self, served: ServedScene, scene: Scene, camera: Camera, moment: Moment) -> Float32[np.ndarray, "h w"]:
         camera = replace(camera, world_to_camera=np.linalg.inv(moment.end))
-        shot = RenderView(camera, moment.end_s)
-        draw_view(self._simulator.renderer, scene, None, served.sky.at(0.0), shot, with_depth=True, thinning=served.cut)
-        depth = self._simulator.renderer.read().depth
+        quality = Quality(with_depth=True, thinning=served.cut)
+        frame = FrameInput.of(scene, None, served.sky, RenderView(camera, moment.end_s), quality)
+        depth = draw(self._simulator.renderer, frame).frame().depth
         assert depth is not None
         return np.where(depth > 0, depth, np.inf).astype(np.float32)
 

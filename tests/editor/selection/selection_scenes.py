@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gsrain_engine.render.draw import RenderView
+from gsrain_engine.render.view import RenderView
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
 from gsrain_engine.scene.scene import Layer, Scene

@@ -18,7 +18,9 @@ from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.rain.wetness import wetness
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.render.draw import RenderView, draw_view
+from gsrain_engine.render.draw import draw
+from gsrain_engine.render.frame_input import FrameInput
+from gsrain_engine.render.view import RenderView
 from gsrain_engine.scene.camera import Camera, look_at
 from small_scene import small_scene
 
@@ -91,7 +93,7 @@ def test_streaks_and_medium_are_all_that_falls_and_neither_replaces_the_other():
 
     def drawn(rain):
         simulation = RainSimulation.start(rain)
-        draw_view(renderer, scene, simulation, SkyLight.uniform((0.9, 0.9, 0.9)), RenderView(camera))
+        draw(renderer, FrameInput.of(scene, simulation, SkyLight.uniform((0.9, 0.9, 0.9)), RenderView(camera)))
         medium = simulation.frame(0.0, RainCamera(camera, np.eye(4), np.zeros(3))).medium
         return renderer.read().rgba[..., :3].copy(), medium
 

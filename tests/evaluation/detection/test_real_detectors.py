@@ -12,7 +12,9 @@ from gsrain_engine.evaluation.detection.detector import Detection, open_detector
 from gsrain_engine.evaluation.detection.metrics import match_detections
 from gsrain_engine.rain.simulation import OVERCAST as SKY
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.render.draw import RenderView, draw_view
+from gsrain_engine.render.draw import draw
+from gsrain_engine.render.frame_input import FrameInput
+from gsrain_engine.render.view import RenderView
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.open import load_street
 
@@ -85,7 +87,7 @@ def test_detectors_know_what_is_on_the_street(test_data: Path, name: str) -> Non
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = np.stack([right, np.cross(ahead, right), ahead], axis=1), eye
         camera = Camera(640, 480, 1000.0, 1000.0, 320.0, 240.0, np.linalg.inv(pose))
-        draw_view(renderer, street, None, SKY, RenderView(camera, 0.0))
+        draw(renderer, FrameInput.of(street, None, SKY, RenderView(camera, 0.0)))
         found = detector.detect(renderer.read_uint8())
         best = max((each.confidence for each in found if each.class_name == class_name), default=0.0)
         missed += [] if best > 0.45 else [f"{class_name} {best:.2f}"]

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from boxy_scene import boxy_scene
+from gsrain_engine.appearance.capture_photos import CapturePhotos
 from gsrain_engine.appearance.scene_views import PlacedCamera
 from gsrain_engine.datasets.capture import Capture, CaptureFrame, TrackedBox
+from gsrain_engine.datasets.undistort import undistort_frame
 from gsrain_engine.evaluation.detection.detector import Detection
 from gsrain_engine.evaluation.detection.ground_truth import LabeledObject
 from gsrain_engine.evaluation.detection.run import (
@@ -24,9 +26,10 @@ from gsrain_engine.evaluation.detection.run import (
 )
 from gsrain_engine.rain.frame import SkyLight
 from gsrain_engine.rain.settings import RainSettings
+from gsrain_engine.recordings.pictures import PhotoRain
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.render.draw import RenderView, ego_view
 from gsrain_engine.render.sky_color import SkyColor
+from gsrain_engine.render.view import RenderView, ego_view
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.rig import rig_camera
 from gsrain_engine.scene.scene import PoseTrack, Scene
@@ -78,13 +81,22 @@ def test_every_rate_has_every_seed(pictures, frame):
     assert [len({row.confidence for row in rows if row.intensity_mm_h == rate}) for rate in (0, 12)] == [1, 2]
 
 
-def test_rain_falls_in_front_of_photographs():
-    background = np.full((48, 64, 3), 40, np.uint8)
-    frame = EvaluatedFrame("a", RenderView(Camera(64, 48, 60.0, 60.0, 32.0, 24.0, AHEAD)), (), lambda: background)
-    pictures = ConditionRenderer(CpuRenderer(), Scene("nothing"), RainSettings(), SKY, is_in_front=True)
-    np.testing.assert_array_equal(pictures.take(frame, Condition("original", 0.0, (0,))), background)
-    rainy = pictures.take(frame, Condition("rainy", 100.0, (0,)))
-    assert rainy.min() >= 39 and rainy.mean() > 40.5 and rainy.max() < 0.8 * 255 + 1
+@pytest.mark.parametrize("width", [64, 32])
+def test_rain_over_photographs_is_that_of_their_rainy_copy(width):
+    photo = np.full((48, 64, 3), 40, np.uint8)
+    photo[:16] = 200
+    view = CaptureFrame("a", Camera(64, 48, 60.0, 60.0, 32.0, 24.0, AHEAD), photo)
+    capture = Capture("drive", (view,))
+    placed = [PlacedCamera("a", view.camera).at_width(width)]
+    photos = CapturePhotos(capture)
+    (frame,) = recorded_frames(photos.world, placed, capture, {"a": ()})
+    pictures = ConditionRenderer(CpuRenderer(), photos.world, RainSettings(), SKY, photos)
+    original = undistort_frame(view, width).image
+    np.testing.assert_array_equal(pictures.take(frame, Condition("original", 0.0, (0,))), original)
+    rainy = pictures.take(frame, Condition("rainy", 100.0, (3,)))
+    copy = PhotoRain(CpuRenderer(), capture, RainSettings(intensity_mm_h=100.0, seed=3)).rainy(view, photo)
+    np.testing.assert_array_equal(rainy, undistort_frame(replace(view, image_source=copy), width).image)
+    assert np.abs(rainy.astype(int) - original).mean() > 0.5
 
 
 def test_mounted_cameras_have_the_vehicles_speed():

@@ -29,7 +29,7 @@ from gsrain_engine.evaluation.detection.summary import (
     write_parquet,
 )
 from gsrain_engine.evaluation.report_charts import series_styles, shades
-from gsrain_engine.render.draw import RenderView
+from gsrain_engine.render.view import RenderView
 from gsrain_engine.scene.camera import Camera
 
 pytest.importorskip("pycocotools")

@@ -8,7 +8,7 @@ import pytest
 
 from gsrain_engine.render.cpu.block_cache import BLOCK, BlockCache, BlockCaches
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.render.draw import LodCut, subset_items
+from gsrain_engine.render.level_of_detail import LodCut, subset_items
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from gsrain_engine.scene.gaussians import Gaussians

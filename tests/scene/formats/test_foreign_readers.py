@@ -21,7 +21,9 @@ from scipy.spatial import cKDTree
 from browser import CHROMIUM, Page, browser
 from gsrain_engine.backends import open_renderer
 from gsrain_engine.rain.frame import SkyLight
-from gsrain_engine.render.draw import RenderView, draw_view
+from gsrain_engine.render.draw import draw
+from gsrain_engine.render.frame_input import FrameInput
+from gsrain_engine.render.view import RenderView
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.formats.registry import read_gaussians, write_gaussians
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
@@ -202,7 +204,7 @@ def test_supersplat_shows_what_is_written(viewer_page: tuple[Page, str], viewer_
     scene = Scene("scene", (Layer("scene", read_gaussians(file)),))
     camera = Camera.from_fov(size, size, 60, look_at(np.array([0, 0, 25.0]), np.zeros(3), np.array([0, -1.0, 0])))
     with open_renderer("cpu") as renderer:
-        draw_view(renderer, scene, None, SkyLight.uniform((0, 0, 0)), RenderView(camera))
+        draw(renderer, FrameInput.of(scene, None, SkyLight.uniform((0, 0, 0)), RenderView(camera)))
         ours = np.array(renderer.read_uint8(), np.float64)[..., :3]
     assert ours.std() > 20
     assert 10 * np.log10(255**2 / np.mean((theirs - ours) ** 2)) > 33

@@ -12,7 +12,9 @@ from built_street import WHOLE, surfaces_of
 from gsrain_engine.backends import open_renderer
 from gsrain_engine.datasets.street import StreetViews
 from gsrain_engine.rain.simulation import OVERCAST
-from gsrain_engine.render.draw import RenderView, draw_view
+from gsrain_engine.render.draw import draw
+from gsrain_engine.render.frame_input import FrameInput
+from gsrain_engine.render.view import RenderView
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.gaussians import SH_C0
 from gsrain_engine.scene.street.build import LEAD_ID, scene_of, street_surfaces
@@ -99,7 +101,7 @@ def test_pictures_are_as_sharp_as_those_of_the_mesh() -> None:
     energies, errors = {}, {}
     with open_renderer("cpu") as renderer:
         for scene in (sharp, soft):
-            draw_view(renderer, scene, None, OVERCAST, view)
+            draw(renderer, FrameInput.of(scene, None, OVERCAST, view))
             drawn = renderer.read_uint8().astype(np.float32) / 255
             energies[scene is sharp] = gradient_energy(drawn) / gradient_energy(mesh)
             errors[scene is sharp] = np.mean((drawn - mesh) ** 2)

@@ -3,11 +3,16 @@
 They need box filters only, which each build of OpenCV has: other packages install the one without `ximgproc`.
 """
 
-import cv2
-import numpy as np
-from jaxtyping import Bool
+from typing import Any
 
-from .base import Image, Plane
+import lazy_loader
+import numpy as np
+from jaxtyping import Bool, Float32
+
+cv2: Any = lazy_loader.load("cv2")  # only photographs need it
+
+Image = Float32[np.ndarray, "h w 3"]
+Plane = Float32[np.ndarray, "h w"]
 
 
 def guided_filter(values: Plane, guide: Plane, radius: int, variance: float) -> Plane:

@@ -1,71 +1,65 @@
-"""Mirror of a scene's wet ground: draws what it reflects, and prepares the items that reflect."""
+"""Mirror: what wet ground reflects of the scene, and the items that reflect."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import msgspec
 import numpy as np
 from jaxtyping import Bool
 
-from ..rain.frame import RainFrame
-from ..rain.settings import RainSettings
-from ..rain.simulation import RainSimulation
-from ..scene.camera import Camera
-from ..scene.flags import BitMask
-from ..scene.gaussians import SH_C0, Gaussians, IdentityKey, scene_cache
-from ..scene.geometry import srgb_to_linear
-from ..scene.ground_water import GroundMembership, ground_membership, matte_wet_sh
-from ..scene.lamps import LitLamps
-from ..scene.lod_order import lod_sample
-from ..scene.scene import DrawItem, Scene
-from ..water.films import WaterDepth, WaterFilms
-from ..water.impacts import GroundImpacts
-from ..water.leveled_ground import LeveledView, leveled_item, leveled_lamps, leveled_view
-from ..water.mirror import Mirror, make_mirror, mirrored_camera, rows_of_ground
-from ..water.rings import RingWaves
-from .renderer import Color, Renderer
+from ...rain.frame import RainFrame
+from ...rain.wetness import flooded_share
+from ...scene.camera import Camera
+from ...scene.flags import BitMask
+from ...scene.gaussians import Gaussians, IdentityKey, scene_cache
+from ...scene.geometry import srgb_to_linear
+from ...scene.ground_water import GroundMembership, ground_membership, matte_wet_sh
+from ...scene.lamps import LitLamps
+from ...scene.lens_faces import wide_face
+from ...scene.lod_order import lod_sample
+from ...scene.scene import DrawItem, Scene
+from ...water.leveled_ground import LeveledView, leveled_item, leveled_lamps
+from ...water.mirror import LensMirror, Mirror, make_mirror, mirrored_camera
+from ...water.rings import RingWaves
+from ..frame_input import FrameInput
+from ..level_of_detail import LodCut, subset_items
+from ..renderer import Color, Renderer
+from .base import FrameParts
 
-_MIN_HEIGHT_M = 0.05  # of a camera over the ground
 SHARE, FAST_SHARE = 0.35, 0.12
 """Shares of the Gaussians of a member in the mirror image, which has an eighth of the picture's resolution: of pictures
 that are exact, and of fast ones."""
 _FEW = 20_000  # Gaussians of a member that is reflected whole
 
 
-def mirror_view(scene: Scene, camera: Camera) -> LeveledView:
-    """Camera over the level ground that reflects a scene into it."""
-    return leveled_view(camera, scene.water, scene.ground_m or 0.0)
+class MirrorPass:
+    """Mirror image of the scene in films and standing water, in scenes with a map of that water."""
 
+    name = "mirror"
 
-def has_mirror(scene: Scene, view: LeveledView, wetness: float, standing: tuple[float, float]) -> bool:
-    """Return whether wet ground reflects the scene into a camera: the scene has a map of its water, and it is wet.
+    def active(self, frame: FrameInput) -> bool:
+        return frame.reflecting_ground is not None
 
-    `standing` is the `standing_water` of that time.
-    """
-    if scene.water is None or (wetness <= 0 and min(standing) <= 0):
-        return False
-    first, last = rows_of_ground(view.camera)
-    return last > first and bool(view.camera.position[2] > view.ground_m + _MIN_HEIGHT_M)
-
-
-def standing_water(rain: RainSettings, depth: WaterDepth, wetness: float) -> tuple[float, float]:
-    """Share of the area of dips that is under water, and how wet it is: as wet as can be, or as is set by hand."""
-    return depth.filled, 1.0 if rain.wetness is None else wetness
-
-
-def ring_waves(
-    scene: Scene, rainfall: RainSimulation, view: LeveledView, time_s: float, focal_px: float | None
-) -> RingWaves | None:
-    """Rings of drops that land before a camera; None where there are none."""
-    if not rainfall.rain.splashes or scene.water is None:
-        return None
-    camera = view.camera
-    ahead, focal = camera.world_to_camera[2, :2], focal_px or float(np.sqrt(camera.fx * camera.fy))
-    length = float(np.hypot(*ahead))
-    heading = ahead / length if length > 1e-6 else np.array([1.0, 0.0])
-    depth = WaterFilms.of(rainfall, scene.water).at(time_s)
-    impacts = GroundImpacts(rainfall)
-    return RingWaves(impacts, time_s, depth, scene.water, camera.position, heading, view.ground_m, focal)
+    def add(self, frame: FrameInput, parts: FrameParts) -> None:
+        ground, quality, scene, camera = frame.reflecting_ground, frame.quality, frame.scene, frame.view.camera
+        assert ground is not None
+        parts.items = reflecting_items(parts.items, scene)
+        fewer = quality.reflected or quality.thinning
+        if quality.reflected is None and isinstance(fewer, LodCut):  # the ground is left out, and hides nothing
+            fewer = replace(fewer, occlusion=False)
+        water = frame.wetness, flooded_share(ground.depth.film_mm), frame.light.drops
+        share = SHARE if parts.still is None else FAST_SHARE
+        reflect = partial(
+            draw_mirror, parts.renderer, scene, partial(subset_items, parts.whole, fewer), frame.falling, ground.view,
+            *water, frame.lit_lamps, ground.standing, parts.waves, share,
+        )  # fmt: skip
+        if parts.still is not None:
+            state = *water, ground.standing
+            parts.mirror = parts.still.mirror(ground.view, parts.moving, state, reflect, parts.waves)
+            return
+        plane = reflect() if quality.reuse is None else quality.reuse.mirror(scene, ground.view, reflect)
+        parts.mirror = plane if camera.lens is None else LensMirror(plane, wide_face(camera))
 
 
 def reflecting_items(items: Sequence[DrawItem], scene: Scene) -> list[DrawItem]:
@@ -144,25 +138,6 @@ def draw_mirror(
     )  # fmt: skip
 
 
-class MirrorReuse:
-    """Uses a mirror image for several pictures of one view, for pictures that must be fast rather than exact."""
-
-    def __init__(self, pictures: int) -> None:
-        """Draw it for one picture of so many."""
-        self._pictures, self._left = pictures, 0
-        self._key: object = None
-        self._mirror: Mirror | None = None
-
-    def mirror(self, scene: Scene, view: LeveledView, draw: Callable[[], Mirror]) -> Mirror:
-        """Return the last mirror image, or draw one: at every so many pictures, and for another size or horizon."""
-        camera = view.camera
-        key = scene.geometry_key, camera.width, camera.height, rows_of_ground(camera)
-        if self._mirror is None or self._left <= 0 or key != self._key:
-            self._mirror, self._left, self._key = draw(), self._pictures, key
-        self._left -= 1
-        return self._mirror
-
-
 def _without_ground(item: DrawItem, found: GroundMembership, share: float) -> DrawItem:
     """Leave out an item's Gaussians on the ground or under it, and all but a share of a large one that is in full."""
     if item.members is not None:
@@ -187,25 +162,3 @@ def _left_out(gaussians: Gaussians, key: IdentityKey, share: float) -> tuple[Bit
 @scene_cache(maxsize=64)
 def _sample(gaussians: Gaussians, share: float) -> tuple[Bool[np.ndarray, " n"], float]:
     return lod_sample(gaussians, share)
-
-
-# Visible shares of films and standing water, drawn as colors
-
-
-def film_items(items: Sequence[DrawItem]) -> list[DrawItem]:
-    """Items whose colors are their shares of films (red) and standing water (green), for renderers without channels."""
-    return [
-        item._replace(
-            gaussians=_film_colored(item.gaussians, IdentityKey(item.film)), wet_sh=None, selected=None, colors=None
-        )
-        for item in items
-    ]
-
-
-@scene_cache(maxsize=64)
-def _film_colored(gaussians: Gaussians, film: IdentityKey) -> Gaussians:
-    shares: np.ndarray | None = film.of  # pyright: ignore[reportAssignmentType]
-    color = np.zeros((len(gaussians), 1, 3), np.float32)
-    if shares is not None:
-        color[:, 0, :2] = shares
-    return gaussians.with_sh((color - np.float32(0.5)) / np.float32(SH_C0))

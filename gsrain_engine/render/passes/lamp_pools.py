@@ -11,15 +11,17 @@ import numba
 import numpy as np
 from jaxtyping import Float, Float64
 
-from ..kernels import NOGIL
-from ..scene.camera import Camera
-from ..scene.gaussians import SH_C0, Gaussians
-from ..scene.geometry import linear_to_srgb, quaternions_from_matrices
-from ..scene.lamps import LitLamps
-from ..scene.lens import view_bounds
-from ..scene.scene import DrawItem
-from ..scene.street.mesh import layered_noise, smooth_noise
-from ..scene.water_surface import WATER_INDEX, reflectance, unshadowed
+from ...kernels import NOGIL
+from ...scene.camera import Camera
+from ...scene.gaussians import SH_C0, Gaussians
+from ...scene.geometry import linear_to_srgb, quaternions_from_matrices
+from ...scene.lamps import LitLamps
+from ...scene.lens import view_bounds
+from ...scene.scene import DrawItem
+from ...scene.street.mesh import layered_noise, smooth_noise
+from ...scene.water_surface import WATER_INDEX, reflectance, unshadowed
+from ..frame_input import FrameInput
+from .base import FrameParts
 
 _COLUMNS = 220
 _STEP = 0.035  # relative depth of a cell
@@ -33,6 +35,25 @@ _FILM_SLOPE, _POOL_SLOPE = 0.105, 0.035
 _POOL_SHARE = 0.25
 _GROUND_ALBEDO, _WET_ALBEDO = 0.075, 0.022
 """Of asphalt, for headlights."""
+
+
+class LampPools:
+    """Light of the lamps on the ground, in scenes with level ground."""
+
+    name = "lamp pools"
+
+    def active(self, frame: FrameInput) -> bool:
+        has_ground = frame.scene.ground_m is not None and not frame.is_photograph
+        return bool(frame.lamps) and has_ground and frame.is_image
+
+    def add(self, frame: FrameInput, parts: FrameParts) -> None:
+        scene, camera, time_s = frame.scene, frame.view.camera, frame.time_s
+        assert scene.ground_m is not None
+        fixed = scene.lamps_at(time_s, [lamp for lamp in frame.lamps if lamp.mount == "scene"])
+        moving = scene.lamps_at(time_s, [lamp for lamp in frame.lamps if lamp.mount != "scene"])
+        mirrors = frame.reflecting_ground is None
+        found = lamp_reflections(fixed, moving, camera, scene.ground_m, frame.wetness, mirrors=mirrors)
+        parts.items += [] if found is None else [found]
 
 
 def lamp_reflections(

@@ -1,0 +1,112 @@
+"""Photographs of a capture as pictures in rain, each in its own light and with the distances of what it shows."""
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import UInt8
+
+from ..datasets.capture import Capture, CaptureFrame
+from ..datasets.depth_maps import completed_depths, measured_depths
+from ..datasets.sky_masks import certain_sky, sky_masks
+from ..datasets.undistort import undistort_frame
+from ..rain.frame import SkyLight
+from ..rain.simulation import RainSimulation, mean_linear_color
+from ..render.frame_input import CameraMemory, FrameInput, Mount
+from ..render.passes.glass import ego_motion
+from ..render.photograph import Distances, Photograph
+from ..render.view import RenderView, ego_view
+from ..scene.camera import Camera
+from ..scene.scene import Scene
+
+Colors = UInt8[np.ndarray, "h w 3"]
+
+CAMERA_HEIGHT_M = 1.5
+"""Assumed height of a camera over the road, where nothing is known of either."""
+
+_LEVEL = np.array([[0.0, -1, 0, 0], [0, 0, -1, CAMERA_HEIGHT_M], [1, 0, 0, 0], [0, 0, 0, 1]])
+"""World-to-camera transform that looks ahead over a road, for images without poses."""
+
+_DEPTH_WIDTH = 320
+"""Width in pixels of distances: the medium changes slowly over an image."""
+
+_SWEEPS = 3  # nearest in time, for the distances of an image
+_MIN_MEASURED = 1e-3  # minimum share of measured pixels
+_ROAD_END_M = 60.0
+"""Distance at which what is not road stands on a level road: houses and trees of a street, in the middle."""
+
+_BRIGHT = 0.9  # quantile of the upper half's brightness that counts as the sky's, without certain sky
+
+
+class CapturePhotos:
+    """Makes the frame inputs of a capture's photographs. Each is a function of its own photograph only."""
+
+    def __init__(self, capture: Capture) -> None:
+        self._capture = capture
+        self.world = Scene(capture.name, up=capture.up, ego=capture.ego)
+        """World of the rain (meters, z up), without Gaussians."""
+        self._memory = CameraMemory()
+        self._last: tuple[CaptureFrame, Colors, SkyLight, Distances] | None = None
+
+    def frame(self, view: CaptureFrame, rainfall: RainSimulation, photo: Colors | None = None) -> FrameInput:
+        """Return the photograph of a view in a rain, in its own lens; surfaces stay as they are.
+
+        `photo` takes the place of the view's own image. Raises `CaptureError` if that can't be read.
+        """
+        if self._last is None or self._last[0] is not view or photo is not None:
+            photo = view.image if photo is None else photo
+            self._last = view, photo, photo_sky(photo), self._distances(view, photo)
+        _, photo, light, distances = self._last
+        shot = self.view(view)
+        past = ego_motion(self.world, shot)
+        mount = Mount(self._memory, (view.sensor, view.name), past.motion, past.camera_to_ego)
+        return FrameInput.of(self.world, rainfall, light, shot, mount=mount, photograph=Photograph(photo, distances))
+
+    def view(self, view: CaptureFrame) -> RenderView:
+        """View of the world from a captured camera; a level one over a road without poses."""
+        camera = replace(view.camera, lens=view.lens)
+        if not self._capture.has_poses:
+            return ego_view(self.world, replace(camera, world_to_camera=_LEVEL), view.time_s)
+        return ego_view(self.world, camera.moved(self.world.scene_to_world), view.time_s)
+
+    def _distances(self, view: CaptureFrame, photo: Colors) -> Distances:
+        """Distances by the capture's own, lidar or points, completed over the image; else those of a level road."""
+        capture = self._capture
+        small = undistort_frame(replace(view, image_source=photo), min(view.camera.width, _DEPTH_WIDTH))
+        if has_distances(capture):
+            nearest = sorted(capture.sweeps, key=lambda sweep: abs(sweep.time_s - view.time_s))[:_SWEEPS]
+            measured = measured_depths(capture, [small], nearest)
+            if np.count_nonzero(measured[0]) >= _MIN_MEASURED * measured[0].size:
+                skies = sky_masks([small], measured, capture.up)
+                completed = completed_depths(capture, [small], measured, skies)[0]
+                return Distances(small.camera, completed, measured[0] > 0)
+        pose = self.view(view).camera.world_to_camera
+        return level_road(replace(small.camera, world_to_camera=pose), small.image)
+
+
+def has_distances(capture: Capture) -> bool:
+    """Return whether distances of the pictures of a capture are known: its own, lidar or points."""
+    measured = bool(capture.sweeps) or capture.points_m is not None or "depth" in capture.has
+    return capture.has_poses and measured
+
+
+def level_road(camera: Camera, photo: Colors) -> Distances:
+    """Distances of a level road below a pinhole camera (world: z up), of what stands at its end, and of the sky."""
+    rays = camera.rays.directions
+    falls = -(rays @ camera.world_to_camera[:3, 2].astype(np.float32))
+    away_m = np.minimum(CAMERA_HEIGHT_M / np.maximum(falls, np.float32(1e-6)), np.float32(_ROAD_END_M))
+    depth_m = np.where(certain_sky(photo).pixels, np.float32(0), away_m * rays[..., 2])
+    return Distances(camera, depth_m.astype(np.float32))
+
+
+def photo_sky(photo: Colors) -> SkyLight:
+    """Mean color of the sky in a photograph, which drops and medium take on.
+
+    Without certain sky it is that of the brightest tenth of the upper half.
+    """
+    sky = certain_sky(photo).pixels
+    found = photo[sky]
+    if not len(found):
+        upper = photo[: max(len(photo) // 2, 1)].reshape(-1, 3)
+        light = upper.astype(np.float64).mean(axis=1)
+        found = upper[light >= np.quantile(light, _BRIGHT)]
+    return SkyLight.uniform(mean_linear_color(found.astype(np.float64) / 255))

@@ -1,0 +1,1 @@
+"""Passes of a picture: one effect a file, in the order of `registry.PASSES`."""

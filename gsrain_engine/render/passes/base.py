@@ -1,0 +1,56 @@
+"""A pass of a picture, and the parts that passes add to it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import UInt8
+
+from ...rain.frame import RainFrame
+from ...scene.scene import DrawItem
+from ...water.mirror import LensMirror, Mirror
+from ...water.rings import RingWaves
+from ..frame_input import FrameInput
+from ..renderer import Frame, Picture, PictureFilter, Renderer
+from ..still_scene import StillScene
+
+
+@dataclass(slots=True, eq=False)
+class FrameParts:
+    """What the passes of a picture have added: the renderer draws it as one depth-ordered compositing."""
+
+    renderer: Renderer
+    draw: Callable[[FrameInput], Picture]
+    """Draws another picture by the same renderer, such as what a mirror shows."""
+    items: list[DrawItem] = field(default_factory=list[DrawItem])
+    whole: list[DrawItem] = field(default_factory=list[DrawItem])
+    """The scene's items with all their Gaussians, for mirrors."""
+    behind: list[DrawItem] = field(default_factory=list[DrawItem])
+    """Items of the whole scene that stand still, where they are drawn once."""
+    moving: list[DrawItem] = field(default_factory=list[DrawItem])
+    """The other items of the whole scene."""
+    still: StillScene | None = None
+    rain: RainFrame | None = None
+    waves: RingWaves | None = None
+    mirror: Mirror | LensMirror | None = None
+    filters: list[PictureFilter] = field(default_factory=list[PictureFilter])
+    """What acts on the drawn picture, in this order."""
+    compose: Callable[[Frame], UInt8[np.ndarray, "h w 3"]] | None = None
+    """Puts what was drawn before a photograph."""
+
+
+@runtime_checkable
+class Pass(Protocol):
+    """An effect of a picture. Its time is a row of *Statistics*, and its name that of the factor of an attribution."""
+
+    @property
+    def name(self) -> str: ...
+
+    def active(self, frame: FrameInput) -> bool:
+        """Return whether the picture has this effect."""
+        ...
+
+    def add(self, frame: FrameInput, parts: FrameParts) -> None:
+        """Add draw items, a medium, light, or a filter of the picture."""
+        ...

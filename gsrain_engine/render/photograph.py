@@ -1,0 +1,105 @@
+"""Photographs in rain: streaks before the picture, and a medium by the distances of what it shows."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import lazy_loader
+import msgspec
+import numpy as np
+from jaxtyping import Bool, Float32, UInt8
+
+from ..rain.frame import RainFrame
+from ..rain.medium import RainMedium
+from ..scene.camera import Camera
+from ..scene.geometry import linear_to_srgb, srgb_to_linear
+from .guided_filter import color_guided_filter
+
+cv2: Any = lazy_loader.load("cv2")  # only photographs need it
+
+_GUIDED_SHARE, _GUIDED_SPREAD = 1 / 12, 3e-3**0.5  # radius over the width; deviation of colors (0..1) that is an edge
+_MIN_AHEAD = 0.1  # cosine of a ray to the axis: beyond 84 degrees, distances of the picture's edge go on
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Distances:
+    """Distances of what a photograph shows."""
+
+    camera: Camera
+    """Camera without lens distortion, of any size."""
+    depth_m: Float32[np.ndarray, "_ _"]
+    """Depth along the view axis; 0 in the sky."""
+    measured: Bool[np.ndarray, "_ _"] | None = None
+    """Pixels whose depth is measured; the others are completed. None for an assumed level road."""
+
+    @property
+    def are_assumed(self) -> bool:
+        return self.measured is None
+
+    def transmittance(self, medium: RainMedium, camera: Camera) -> Float32[np.ndarray, "h w"]:
+        """Share of light that each pixel of the photograph's camera keeps in the medium."""
+        own, depth = self.camera, self.depth_m
+        points = np.dstack([_tangents(own), np.ones_like(depth)]) * depth[..., None]
+        near = medium.transmittance(np.maximum(points.reshape(-1, 3), -1e9)).reshape(depth.shape)
+        found = np.ascontiguousarray(np.where(depth > 0, near, medium.sky_transmittance(own.rays)), np.float32)
+        tangents = _tangents(camera)
+        columns = tangents[..., 0] * np.float32(own.fx) + np.float32(own.cx - 0.5)
+        rows = tangents[..., 1] * np.float32(own.fy) + np.float32(own.cy - 0.5)
+        return cv2.remap(found, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Photograph:
+    """Photograph (sRGB) behind rain."""
+
+    pixels: UInt8[np.ndarray, "h w 3"]
+    distances: Distances
+
+    def in_rain(self, falling: RainFrame, share: Float32[np.ndarray, "h w 1"]) -> UInt8[np.ndarray, "h w 3"]:
+        """Return the photograph B behind drops that cover a share W of each pixel: (1 - W) (T B + (1 - T) A) + W S.
+
+        T is the medium's transmittance up to each pixel, A its airlight and S the light of a drop; in linear light if
+        that is how the rain adds its own.
+        """
+        encode, decode = (linear_to_srgb, srgb_to_linear) if falling.is_linear else (np.asarray, np.asarray)
+        behind = decode(self.pixels.astype(np.float64) / 255)
+        if falling.medium is not None:
+            kept = self._refined(self.distances.transmittance(falling.medium, falling.view.camera))[..., None]
+            behind = kept * behind + (1 - kept) * decode(falling.airlight)
+        mixed = encode((1 - share) * behind + share * decode(falling.color))
+        return np.rint(np.clip(mixed, 0, 1) * 255).astype(np.uint8)
+
+    def _refined(self, transmittance: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
+        """Let a transmittance follow the edges of the photograph, in place of those between measured distances.
+
+        The guided filter (He, Sun and Tang 2013), as haze is estimated from photographs.
+        """
+        radius = max(round(_GUIDED_SHARE * self.pixels.shape[1]), 1)
+        guide = self.pixels.astype(np.float32) / 255
+        smooth = color_guided_filter(transmittance, guide, radius, _GUIDED_SPREAD)
+        return np.clip(smooth, transmittance.min(), transmittance.max())
+
+
+def without_medium(falling: RainFrame) -> RainFrame:
+    """The drops and the haze Gaussians of a rain, without its medium."""
+    far = "none" if falling.rain.haze == "medium" else falling.rain.haze
+    return replace(
+        falling, rain=msgspec.structs.replace(falling.rain, haze=far, visibility_m=None), fog_extinction_per_m=0.0
+    )
+
+
+def widened(picture: UInt8[np.ndarray, "h w 3"], camera: Camera, wide: Camera) -> UInt8[np.ndarray, "rows columns 3"]:
+    """Return a picture as a wide camera of the same pose has it, mirrored at its edges: nothing is known beyond."""
+    columns = (np.arange(wide.width, dtype=np.float32) + np.float32(0.5 - wide.cx)) / np.float32(wide.fx)
+    rows = (np.arange(wide.height, dtype=np.float32) + np.float32(0.5 - wide.cy)) / np.float32(wide.fy)
+    x, y = columns * np.float32(camera.fx) + camera.cx - 0.5, rows * np.float32(camera.fy) + camera.cy - 0.5
+    # Averaged before it is sampled: a wide view has few pixels.
+    step = max(round(camera.fx / wide.fx), 1)
+    smooth = cv2.blur(picture, (step, step), borderType=cv2.BORDER_REFLECT) if step > 1 else picture
+    maps = np.meshgrid(x.astype(np.float32), y.astype(np.float32))
+    return cv2.remap(smooth, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
+
+
+def _tangents(camera: Camera) -> Float32[np.ndarray, "h w 2"]:
+    """Tangents x / z and y / z of the rays of a camera's pixels."""
+    directions = camera.rays.directions
+    return directions[..., :2] / np.maximum(directions[..., 2:], np.float32(_MIN_AHEAD))
