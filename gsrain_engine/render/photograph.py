@@ -1,6 +1,7 @@
 """Photographs in rain: streaks before the picture, and a medium by the distances of what it shows."""
 
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 import lazy_loader
@@ -16,7 +17,13 @@ from .guided_filter import color_guided_filter
 
 cv2: Any = lazy_loader.load("cv2")  # only photographs need it
 
+Colors = UInt8[np.ndarray, "h w 3"]
+Plane = Float32[np.ndarray, "h w"]
+
 _GUIDED_SHARE, _GUIDED_SPREAD = 1 / 12, 3e-3**0.5  # radius over the width; deviation of colors (0..1) that is an edge
+_AROUND_PX, _ALIKE, _FADED = 4, 0.08, 0.05
+"""Reach of a measured distance, in pixels of the distances; deviation of colors (0..1) that are one thing; and weight of
+nothing known."""
 _MIN_AHEAD = 0.1  # cosine of a ray to the axis: beyond 84 degrees, distances of the picture's edge go on
 
 
@@ -35,16 +42,30 @@ class Distances:
     def are_assumed(self) -> bool:
         return self.measured is None
 
-    def transmittance(self, medium: RainMedium, camera: Camera) -> Float32[np.ndarray, "h w"]:
-        """Share of light that each pixel of the photograph's camera keeps in the medium."""
+    def transmittance(self, medium: RainMedium, camera: Camera, photo: Colors) -> Plane:
+        """Share of light that each pixel of a photograph and its camera keeps in the medium.
+
+        It follows the edges of the photograph in place of those between measured distances, by the guided filter (He,
+        Sun and Tang 2013), as haze is estimated from photographs; near measured distances it is theirs.
+        """
         own, depth = self.camera, self.depth_m
         points = np.dstack([_tangents(own), np.ones_like(depth)]) * depth[..., None]
         near = medium.transmittance(np.maximum(points.reshape(-1, 3), -1e9)).reshape(depth.shape)
         found = np.ascontiguousarray(np.where(depth > 0, near, medium.sky_transmittance(own.rays)), np.float32)
-        tangents = _tangents(camera)
-        columns = tangents[..., 0] * np.float32(own.fx) + np.float32(own.cx - 0.5)
-        rows = tangents[..., 1] * np.float32(own.fy) + np.float32(own.cy - 0.5)
-        return cv2.remap(found, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        maps = _maps(camera, own)
+        whole = cv2.remap(found, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        guide = photo.astype(np.float32) / 255
+        smooth = color_guided_filter(whole, guide, max(round(_GUIDED_SHARE * photo.shape[1]), 1), _GUIDED_SPREAD)
+        # The filter lets the far into the near. What is measured says how far off it is around.
+        back = _maps(own, camera)
+        small = cv2.remap(smooth, *back, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        colors = cv2.remap(
+            cv2.blur(guide, _block(camera, own)), *back, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        )
+        known = depth > 0 if self.measured is None else self.measured
+        error = _spread(found - small, known, colors)
+        smooth += cv2.remap(error, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        return np.clip(smooth, found.min(), found.max())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,20 +84,11 @@ class Photograph:
         encode, decode = (linear_to_srgb, srgb_to_linear) if falling.is_linear else (np.asarray, np.asarray)
         behind = decode(self.pixels.astype(np.float64) / 255)
         if falling.medium is not None:
-            kept = self._refined(self.distances.transmittance(falling.medium, falling.view.camera))[..., None]
+            camera = falling.view.camera
+            kept = self.distances.transmittance(falling.medium, camera, self.pixels)[..., None]
             behind = kept * behind + (1 - kept) * decode(falling.airlight)
         mixed = encode((1 - share) * behind + share * decode(falling.color))
         return np.rint(np.clip(mixed, 0, 1) * 255).astype(np.uint8)
-
-    def _refined(self, transmittance: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
-        """Let a transmittance follow the edges of the photograph, in place of those between measured distances.
-
-        The guided filter (He, Sun and Tang 2013), as haze is estimated from photographs.
-        """
-        radius = max(round(_GUIDED_SHARE * self.pixels.shape[1]), 1)
-        guide = self.pixels.astype(np.float32) / 255
-        smooth = color_guided_filter(transmittance, guide, radius, _GUIDED_SPREAD)
-        return np.clip(smooth, transmittance.min(), transmittance.max())
 
 
 def without_medium(falling: RainFrame) -> RainFrame:
@@ -103,3 +115,35 @@ def _tangents(camera: Camera) -> Float32[np.ndarray, "h w 2"]:
     """Tangents x / z and y / z of the rays of a camera's pixels."""
     directions = camera.rays.directions
     return directions[..., :2] / np.maximum(directions[..., 2:], np.float32(_MIN_AHEAD))
+
+
+def _maps(camera: Camera, source: Camera) -> tuple[Plane, Plane]:
+    """Column and row in the picture of a source, at the same place, of each pixel of a camera (first center at 0)."""
+    tangents = _tangents(camera)
+    ahead = np.dstack([tangents, np.ones(tangents.shape[:2], np.float32)]).reshape(-1, 3)
+    places = np.nan_to_num(source.pixels(ahead), nan=-1e6).reshape(*tangents.shape) - 0.5
+    return places[..., 0].astype(np.float32), places[..., 1].astype(np.float32)
+
+
+def _block(camera: Camera, source: Camera) -> tuple[int, int]:
+    """Pixels of a camera's picture in one of a smaller source."""
+    return max(round(camera.width / source.width), 1), max(round(camera.height / source.height), 1)
+
+
+def _spread(error: Plane, known: Bool[np.ndarray, "h w"], colors: Float32[np.ndarray, "h w 3"]) -> Plane:
+    """Mean of the known errors around each pixel, of those with its color; it fades where none is known."""
+    total, weights = np.zeros_like(error), np.full_like(error, _FADED)
+    around = range(-_AROUND_PX, _AROUND_PX + 1)
+    known_error = np.where(known, error, np.float32(0))
+    for dy, dx in product(around, around):
+        move = np.array([[1, 0, dx], [0, 1, dy]], np.float32)
+        size = error.shape[1], error.shape[0]
+        moved, there, other = (
+            cv2.warpAffine(each, move, size, flags=cv2.INTER_NEAREST)
+            for each in (known_error, known.astype(np.float32), colors)
+        )
+        far = ((colors - other) ** 2).sum(axis=-1)
+        weight = there * np.exp(-far / (2 * _ALIKE**2) - (dx * dx + dy * dy) / (2 * (_AROUND_PX / 2) ** 2))
+        total += weight * moved
+        weights += weight
+    return (total / weights).astype(np.float32)

@@ -8,11 +8,15 @@ import pytest
 from gsrain_engine.appearance.capture_photos import has_distances, photo_sky
 from gsrain_engine.datasets.capture import Capture, CaptureFrame, Lens
 from gsrain_engine.rain.settings import RainSettings
-from gsrain_engine.rain.simulation import RainSimulation
+from gsrain_engine.rain.simulation import OVERCAST, RainSimulation
 from gsrain_engine.recordings.pictures import PhotoRain, ScenePictures
 from gsrain_engine.render.cpu.renderer import CpuRenderer
+from gsrain_engine.render.frame_input import FrameInput
+from gsrain_engine.render.photograph import Distances
+from gsrain_engine.render.view import RenderView
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.geometry import linear_to_srgb, srgb_to_linear
+from gsrain_engine.scene.scene import Scene
 from small_capture import small_capture
 from training.small_street import small_street
 
@@ -66,9 +70,7 @@ def test_a_photograph_by_night_is_the_same_among_photographs_by_day():
     day = wall(30.0)
     night = replace(day[0], name="night", image_source=(day[0].image * 0.05).astype(np.uint8))
     rain = RainSettings(intensity_mm_h=25)
-    alone, among = (
-        PhotoRain(CpuRenderer(), replace(day, views=views), rain) for views in ((night,), (day[0], night))
-    )
+    alone, among = (PhotoRain(CpuRenderer(), replace(day, views=views), rain) for views in ((night,), (day[0], night)))
     for view in (day[0], night):
         picture = among.rainy(view, view.image)
         if view is night:
@@ -89,7 +91,7 @@ def test_without_distances_the_medium_is_that_of_a_level_road():
         away_m = min(1.5 * np.hypot(1, fall) / fall, 60.0) if fall > 0 else 60.0
         kept = np.exp(-beta * away_m)
         expected = 255 * linear_to_srgb(np.array([kept * dark + (1 - kept) * air]))[0]
-        assert rainy[row, 45].mean() == pytest.approx(expected, abs=3)
+        assert rainy[row, 45].mean() == pytest.approx(expected, abs=5)  # smoothed along edges
     assert rainy[2, 45].mean() == pytest.approx(SKY, abs=2)
 
 
@@ -113,3 +115,22 @@ def test_a_scene_of_the_recording_gives_the_pictures(lens):
     assert rainy.rainy(view, view.image).shape == view.image.shape
     if lens is None:
         assert np.abs(dry.rainy(view, view.image).astype(int) - view.image).mean() < 4
+
+
+def test_what_is_near_keeps_its_distance_where_that_is_measured():
+    """A sign at 20 m before a wall at 200 m, whose completed distances leave out its rim."""
+    camera = Camera(96, 64, 80.0, 80.0, 48.0, 32.0, LEVEL)
+    photo = np.full((64, 96, 3), 150, np.uint8)
+    photo[20:44, 30:54] = 120
+    depth, measured = np.full((64, 96), 200.0, np.float32), np.zeros((64, 96), bool)
+    depth[24:40, 34:50] = 20.0
+    measured[22:44:4, 32:54:4] = measured[2:64:8, 2:28:8] = True
+    depth[measured & (np.arange(96) >= 30)] = 20.0
+    rainfall = RainSimulation.start(RainSettings(intensity_mm_h=50, streaks=False))
+    falling = FrameInput.of(Scene("none"), rainfall, OVERCAST, RenderView(camera)).falling
+    kept = Distances(camera, depth, measured).transmittance(falling.medium, camera, photo)
+    beta = rainfall.state.extinction_per_m
+    sign = measured & (np.arange(96) >= 30)
+    assert np.abs(kept[sign] - np.exp(-beta * 20)).max() < 0.05
+    assert np.abs(kept[sign].mean() - np.exp(-beta * 20)) < 0.01
+    assert kept[32, 90] == pytest.approx(np.exp(-beta * 200 * np.hypot(1, 42 / 80)), abs=0.03)
