@@ -66,7 +66,7 @@ from .options import (
 from .outputs import check_writable, lock_outputs, provenance_lines, run_provenance, write_numbers, write_text
 from .render import rainy_light
 
-EXPORTS = {"parquet": "pyarrow", "mcap": "mcap", "ros2": "rosbags", "xosc": "scenariogeneration"}
+EXPORTS = {"parquet": "pyarrow", "ros2": "rosbags", "xosc": "scenariogeneration"}
 """Other formats of a run, and the package that writes each."""
 
 _EXTRAS = {"ros2": "recordings"}
@@ -179,7 +179,7 @@ def drive(
     video: Annotated[bool | None, option("Write a video of each run; default: if there is only one.")] = None,
     fps: Annotated[float, option("Frame rate of the videos.")] = 10.0,
     export: Annotated[
-        str, option("Also write runs as parquet, mcap (Foxglove), ros2 (bag), xosc (OpenSCENARIO), with commas.")
+        str, option("Also write runs as parquet, ros2 (bag, also for Foxglove), xosc (OpenSCENARIO), with commas.")
     ] = "",
     rerun: Annotated[
         Path | None, option("Also write a Rerun recording (.rrd): scene, boxes, plan, plots, camera. One run only.")
@@ -468,10 +468,6 @@ def _write_bag(path: Path, rollout: Rollout, scene: Scene, renderer: Renderer | 
 def _export(kind: str, path: Path, rollout: Rollout, scene: Scene) -> None:
     if kind == "parquet":
         write_rollout_parquet(path, rollout)
-    elif kind == "mcap":
-        from gsrain_engine.simulation.interop.mcap import write_rollout_mcap
-
-        write_rollout_mcap(path, rollout, recorded_route(scene))
     else:
         from gsrain_engine.simulation.interop.openscenario_write import write_openscenario
 

@@ -59,7 +59,7 @@ def psnr_db(first: "np.ndarray[Any, Any]", second: "np.ndarray[Any, Any]") -> fl
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("scene", type=Path, help="a .ply")
-    parser.add_argument("--formats", default=".compressed.ply,.splat,.ksplat,.spz,.sog,.glb,.usdz")
+    parser.add_argument("--formats", default=".compressed.ply,.splat,.spz,.sog,.glb,.usdz")
     found = str(SPLAT_TRANSFORM) if SPLAT_TRANSFORM.exists() else shutil.which("splat-transform")
     parser.add_argument("--splat-transform", default=found, help="its program; `make npm` installs it")
     parser.add_argument("--repeats", type=int, default=3)

@@ -157,7 +157,7 @@ def address_space_bytes() -> int | None:
 
 
 def reading_deadline(stored_bytes: int) -> Deadline:
-    """Deadline for a library to read a file or to find the next row of one: a minute, and a second for each MB."""
+    """Deadline for a library to read a file: a minute, and a second for each MB."""
     return Deadline(_MIN_READING_S + _READING_S_PER_BYTE * stored_bytes)
 
 

@@ -4,7 +4,6 @@ import gzip
 import io
 import os
 import pickle
-import signal
 import sqlite3
 import stat
 import struct
@@ -21,7 +20,7 @@ import pytest
 import zstandard
 from PIL import Image
 
-from gsrain_engine.datasets.bags.containers import McapContainer, Query, SqliteContainer
+from gsrain_engine.datasets.bags.containers import McapContainer, SqliteContainer, limit_steps
 from gsrain_engine.datasets.capture import CaptureError
 from gsrain_engine.datasets.io.arrays import read_floats, read_json, read_npz
 from gsrain_engine.datasets.io.images import image_size, read_color, read_stored
@@ -36,7 +35,6 @@ from gsrain_engine.evaluation.detection.detector import open_detector
 from gsrain_engine.evaluation.lpips_weights import read_arrays
 from gsrain_engine.rain.calibration import load_calibration
 from gsrain_engine.rain.settings import load_preset
-from gsrain_engine.safe_io.limits import Deadline, TooLargeError
 from gsrain_engine.safe_io.numpy_files import read_archive
 from gsrain_engine.safe_io.text_files import check_finite, json_values, yaml_values
 from gsrain_engine.scene.camera_path_io import read_camera_path
@@ -163,6 +161,16 @@ def test_parts_of_an_mcap_file_expand_within_one_budget(
     assert not (tmp_path / "copy.mcap").exists()
 
 
+def test_an_mcap_file_of_many_gb_takes_no_more_memory_than_its_chunks(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    for compression in ("ZSTD", "LZ4"):
+        mcap_of_zeros(path, compression, 2, 1000)
+        os.truncate(path, 20 << 30)  # a hole
+        with limited_memory():
+            messages = list(McapContainer(path).messages())
+            assert [McapContainer(path).read(each.place) for each in messages] == [bytes(1000)] * 2
+
+
 def test_messages_that_are_compressed_one_by_one_expand_within_one_budget(tmp_path: Path) -> None:
     message = zstandard.compress(bytes(3 << 20))
     for count, is_bomb in ((5, False), (30, True)):
@@ -207,19 +215,19 @@ def test_databases_deliver_no_more_than_they_hold(messages: str, tmp_path: Path)
             read()
 
 
-def test_a_query_ends_by_its_rows_its_time_and_ctrl_c(monkeypatch: pytest.MonkeyPatch) -> None:
-    database = sqlite3.connect(":memory:")
-    query = Query(database, 10_000)
-    with pytest.raises(TooLargeError):
-        list(query(f"{_ENDLESS} k FROM n"))
-    without_rows = f"{_ENDLESS} k FROM n WHERE k < 0"
-    monkeypatch.setattr(Deadline, "left_s", property(lambda _: signal.raise_signal(signal.SIGINT)))
-    with pytest.raises(KeyboardInterrupt):
-        list(query(without_rows))
-    monkeypatch.setattr(Deadline, "left_s", 0.0)
-    with pytest.raises(TimeoutError):
-        list(query(without_rows))
-    database.close()
+def test_a_query_ends_by_its_steps_and_a_file_that_repeats_its_pages_by_its_bytes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with closing(sqlite3.connect(":memory:")) as database:
+        limit_steps(database, 10_000)
+        with pytest.raises(sqlite3.OperationalError, match="interrupted"):
+            list(database.execute(f"{_ENDLESS} k FROM n WHERE k < 0"))
+    rows = (f"INSERT INTO messages VALUES ({number}, 1, {number}, zeroblob(50))" for number in range(3))
+    bag = SqliteContainer(database_of(tmp_path / "a.db3", *rows))
+    assert len(list(bag.messages())) == 3
+    monkeypatch.setattr(SqliteContainer, "_size", lambda _: 120)
+    with refused(CaptureError, r"a\.db3: its content is larger than 120 bytes"):
+        list(bag.messages())
 
 
 # Pictures and arrays

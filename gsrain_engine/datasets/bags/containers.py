@@ -1,24 +1,25 @@
 """Containers of recorded messages: MCAP files and the SQLite files of ROS 2 bags, read and copied.
 
-Facts: the MCAP specification (mcap.dev/spec), and rosbag2's storage plugins and metadata.yaml (ros2/rosbag2).
+The packages mcap and sqlite3 read them message by message, without an index, so that a recording that was cut off gives
+what comes before. Facts: rosbag2's storage plugins and metadata.yaml (ros2/rosbag2).
 """
 
 import io
 import shutil
 import sqlite3
 import struct
-from collections.abc import Callable, Collection, Generator, Iterator, Mapping, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Generator, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
-from errno import ENOENT
 from functools import lru_cache
 from importlib import import_module
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
+from typing import Any, ClassVar, NamedTuple
 
 import zstandard
 
-from ...safe_io.limits import ByteBudget, ExpansionBudget, TooLargeError, check_file, open_file, reading_deadline
+from ...safe_io.limits import ByteBudget, ExpansionBudget, TooLargeError, check_file, open_file
 from ...safe_io.text_files import read_whole, yaml_values
 from ...scene.files import whole_file
 from ..capture import CaptureError, check_inside
@@ -64,28 +65,78 @@ class BagMessage(NamedTuple):
     data: bytes
 
 
-@runtime_checkable
-class Container(Protocol):
+Change = Callable[[BagMessage], bytes | None]
+"""Returns other data for a message, or None for a message that stays."""
+
+
+@dataclass(frozen=True)
+class Container(ABC):
     """One file of messages. Every method raises `CaptureError`, which names the file."""
 
-    @property
-    def path(self) -> Path: ...
+    path: Path
+    compressed: bool = False
+    """True if each message is compressed (zstd), as rosbag2 can do."""
 
-    def topics(self) -> list[Topic]:
-        """Topics that have messages."""
-        ...
+    kind: ClassVar[str]
+    """Name of the format in errors."""
 
-    def messages(self, topics: Collection[Topic] | None = None) -> Iterator[BagMessage]:
-        """Yield the messages (of some topics) in the order of the file."""
-        ...
+    @abstractmethod
+    def messages(self) -> Iterator[BagMessage]:
+        """Yield the messages in the order of the file."""
 
+    @abstractmethod
     def read(self, place: Place) -> bytes:
         """Read the data of one message."""
-        ...
 
-    def copy(self, target: Path, changed: Callable[[BagMessage], bytes | None]) -> None:
+    @abstractmethod
+    def copy(self, target: Path, changed: Change) -> None:
         """Copy the container with other data in those messages for which `changed` returns some."""
-        ...
+
+    def _size(self) -> int:
+        return self.path.stat().st_size
+
+    def _budget(self) -> ExpansionBudget:
+        return ExpansionBudget(self._size(), self.path)
+
+    def _unpacked(self, data: bytes, budget: ExpansionBudget) -> bytes:
+        return _expanded(data, "zstd", budget) if self.compressed else data
+
+    def _packed(self, data: bytes) -> bytes:
+        return zstandard.ZstdCompressor(_ZSTD_LEVEL).compress(data) if self.compressed else data
+
+    @contextmanager
+    def _named_damages(self) -> Generator[None]:
+        try:
+            yield
+        except CaptureError:
+            raise
+        except FileNotFoundError:
+            raise CaptureError(f"{self.path}: no such file") from None
+        except TooLargeError as error:
+            raise CaptureError(f"{self.path}: its content is {error.strerror}") from None
+        except Exception as error:  # of mcap, zstandard, lz4 and sqlite3, which raise many kinds
+            cut_off = type(error).__name__ == "EndOfFile" or isinstance(error, struct.error)
+            why = "it is cut off; mcap recover writes one that is not" if cut_off else str(error)
+            raise CaptureError(f"{self.path}: not {self.kind} ({why or type(error).__name__})") from None
+
+
+_ZSTD_LEVEL = 3
+
+
+def _expanded(data: bytes, compression: str, budget: ExpansionBudget) -> bytes:
+    """Decompress a message or a chunk; raises `TooLargeError` if it is a bomb or more than the budget has left."""
+    own = ExpansionBudget(len(data), "part")
+    max_bytes = min(own.max_bytes, budget.left_bytes) + 1  # allocated at once
+    if compression == "zstd":
+        with zstandard.ZstdDecompressor().stream_reader(data) as stream:
+            data = stream.read(max_bytes)
+    elif compression == "lz4":
+        data = import_module("lz4.frame").LZ4FrameDecompressor().decompress(data, max_bytes)
+    elif compression:
+        raise ValueError(f"a chunk has the compression {compression!r}; expected zstd or lz4")
+    own.spend(len(data))
+    budget.spend(len(data))
+    return data
 
 
 def recognizes_bag(path: Path) -> bool:
@@ -127,35 +178,12 @@ def _container(path: Path, *, compressed: bool) -> Container:
     raise CaptureError(f"{path}: not a container of messages; expected {MCAP} or {SQLITE}")
 
 
-# Messages that are compressed one by one
-
-_ZSTD_LEVEL = 3
-
-
-def _unpacked(data: bytes, path: Path, budget: ExpansionBudget) -> bytes:
-    try:
-        return _unzstd(data, budget)
-    except zstandard.ZstdError as error:
-        raise CaptureError(f"{path}: a message that can't be decompressed ({error})") from None
-
-
-def _unzstd(data: bytes, budget: ExpansionBudget) -> bytes:
-    """Decompress a zstd frame; raises `TooLargeError` if it holds more than the budget has left."""
-    with zstandard.ZstdDecompressor().stream_reader(data) as stream:
-        content = stream.read(budget.left_bytes + 1)
-    budget.spend(len(content))
-    return content
-
-
-def _packed(data: bytes) -> bytes:
-    return zstandard.ZstdCompressor(_ZSTD_LEVEL).compress(data)
-
-
 # MCAP
 
 _MAX_RECORD_BYTES = 1 << 31
-_Value = TypeVar("_Value")
 _CHUNK_BYTES = 1 << 20
+_MAGIC_BYTES = 8
+_IN_CHUNKS = ("Schema", "Channel", "Message")
 
 
 def _mcap_module(name: str) -> Any:
@@ -165,90 +193,48 @@ def _mcap_module(name: str) -> Any:
         raise CaptureError("MCAP files need the package mcap: pip install 'gsrain[recordings]'") from None
 
 
-@contextmanager
-def _named_damages(path: Path) -> Generator[None]:
-    """Turn the errors of the mcap package into `CaptureError` with the file's name."""
-    damages = (_mcap_module("exceptions").McapError, struct.error, zstandard.ZstdError)
-    try:
-        yield
-    except FileNotFoundError:
-        raise CaptureError(f"{path}: no such file") from None
-    except CaptureError:
-        raise
-    except TooLargeError as error:
-        raise CaptureError(f"{path}: its compressed parts are {error.strerror}") from None
-    except (*damages, ValueError, KeyError, OSError, MemoryError, OverflowError, RuntimeError) as error:
-        cut_off = type(error).__name__ == "EndOfFile" or isinstance(error, struct.error)
-        why = "it is cut off; mcap recover writes one that is not" if cut_off else str(error) or type(error).__name__
-        raise CaptureError(f"{path}: not an MCAP file that can be read to its end ({why})") from None
-
-
-@dataclass(frozen=True)
-class McapContainer:
+class McapContainer(Container):
     """MCAP file, read from its start to its end: an index is not needed."""
 
-    path: Path
-    compressed: bool = False
-    """True if each message is compressed, as rosbag2 can do."""
+    kind = "an MCAP file that can be read to its end"
 
-    def topics(self) -> list[Topic]:
-        return list(dict.fromkeys(message.topic for message in self.messages()))
-
-    def messages(self, topics: Collection[Topic] | None = None) -> Iterator[BagMessage]:
-        schemas: dict[int, Any] = {}
-        channels: dict[int, Topic] = {}
-        budget = self._budget()
-        for place, record in self._records(budget):
-            kind = type(record).__name__
-            if kind == "Schema":
-                schemas[record.id] = record
-            elif kind == "Channel":
-                channels[record.id] = self._topic(record, schemas)
-            elif kind == "Message":
-                topic = self._known(channels, record.channel_id, "channel", place)
-                if topics is None or topic in topics:
-                    yield BagMessage(topic, place, record.log_time, self._data(record.data, budget))
+    def messages(self) -> Iterator[BagMessage]:
+        return (message for _, message in self._records() if message is not None)
 
     def read(self, place: Place) -> bytes:
-        with _named_damages(self.path):
+        with self._named_damages():
             record, content = _record_at(self.path, place.offset)
             if place.byte >= 0:
-                _, record = next(_inner_records(content, place.byte))
-            return self._data(record.data, self._budget())
+                stream = io.BytesIO(content)
+                stream.seek(place.byte)
+                _, record = next(_parsed(stream, len(content), has_magic=False))
+            return self._unpacked(record.data, self._budget())
 
-    def copy(self, target: Path, changed: Callable[[BagMessage], bytes | None]) -> None:
+    def copy(self, target: Path, changed: Change) -> None:
         """Copy schemas, channels, messages, attachments and metadata; chunks and indexes are written anew.
 
         Sequence numbers and both times of each message stay. Raises `CaptureError` if the file is cut off.
         """
+        chunks = (record.compression for record, _ in self._records() if _kind(record) == "Chunk")
         writers = _mcap_module("writer")
+        compression = writers.CompressionType[(next(chunks, "") or "none").upper()]
         with whole_file(target) as partial, partial.open("wb") as stream:
-            writer: Any = None
-            schemas: dict[int, Any] = {0: None}
-            numbers = {0: 0}
-            channels: dict[int, tuple[Topic, int]] = {}
-            compression, budget = self._compression(), self._budget()
-            for place, record in self._records(budget):
-                kind = type(record).__name__
+            writer = writers.Writer(stream, chunk_size=_CHUNK_BYTES, compression=compression)
+            schemas, channels = {0: 0}, dict[int, int]()
+            for record, message in self._records():
+                kind = _kind(record)
                 if kind == "Header":
-                    writer = writers.Writer(
-                        stream, chunk_size=_CHUNK_BYTES, compression=writers.CompressionType[compression]
-                    )
                     writer.start(profile=record.profile, library=record.library)
-                elif writer is None:
-                    raise CaptureError(f"{self.path}: has no header")
-                elif kind == "Schema" and record.id not in numbers:
-                    schemas[record.id] = record
-                    numbers[record.id] = writer.register_schema(record.name, record.encoding, record.data)
+                elif kind == "Schema" and record.id not in schemas:
+                    schemas[record.id] = writer.register_schema(record.name, record.encoding, record.data)
                 elif kind == "Channel" and record.id not in channels:
-                    schema = self._known(numbers, record.schema_id, "schema", place)
-                    number = writer.register_channel(record.topic, record.message_encoding, schema, record.metadata)
-                    channels[record.id] = self._topic(record, schemas), number
-                elif kind == "Message":
-                    topic, number = self._known(channels, record.channel_id, "channel", place)
-                    message = BagMessage(topic, place, record.log_time, self._data(record.data, budget))
+                    channels[record.id] = writer.register_channel(
+                        record.topic, record.message_encoding, schemas[record.schema_id], record.metadata
+                    )
+                elif message is not None:
                     new = changed(message)
-                    data = record.data if new is None else (_packed(new) if self.compressed else new)
+                    data = record.data if new is None else self._packed(new)
+                    number = channels[record.channel_id]
                     writer.add_message(number, record.log_time, data, record.publish_time, record.sequence)
                 elif kind == "Attachment":
                     writer.add_attachment(
@@ -260,225 +246,145 @@ class McapContainer:
                     break  # a summary repeats schemas and channels
             writer.finish()
 
-    def _data(self, data: bytes, budget: ExpansionBudget) -> bytes:
-        with _named_damages(self.path):
-            return _unpacked(data, self.path, budget) if self.compressed else data
+    def _records(self) -> Iterator[tuple[Any, BagMessage | None]]:
+        """Yield all records, those of a chunk after the chunk; with each message itself, unpacked."""
+        schemas: dict[int, tuple[str, bytes]] = {0: ("", b"")}
+        topics: dict[int, Topic] = {}
+        with self._named_damages():
+            budget = self._budget()
+            for place, record in self._placed_records(budget):
+                kind, message = _kind(record), None
+                if kind == "Schema":
+                    schemas[record.id] = record.name, bytes(record.data)
+                elif kind == "Channel":
+                    if record.schema_id not in schemas:
+                        raise ValueError(f"a channel at byte {place.offset} has no schema {record.schema_id}")
+                    name, definition = schemas[record.schema_id]
+                    topics[record.id] = Topic(record.topic, name, record.message_encoding, definition)
+                elif kind == "Message":
+                    if record.channel_id not in topics:
+                        raise ValueError(f"a message at byte {place.offset} has no channel {record.channel_id}")
+                    data = self._unpacked(record.data, budget)
+                    message = BagMessage(topics[record.channel_id], place, record.log_time, data)
+                yield record, message
 
-    def _budget(self) -> ExpansionBudget:
-        return ExpansionBudget(_size(self.path), self.path)
-
-    def _known(self, known: Mapping[int, _Value], number: int, what: str, place: Place) -> _Value:
-        if number not in known:
-            raise CaptureError(f"{self.path}: a record at byte {place.offset} is of {what} {number}, which is missing")
-        return known[number]
-
-    def _topic(self, channel: Any, schemas: dict[int, Any]) -> Topic:
-        schema = schemas.get(channel.schema_id)
-        kind, definition = ("", b"") if schema is None else (schema.name, schema.data)
-        return Topic(channel.topic, kind, channel.message_encoding, bytes(definition))
-
-    def _records(self, budget: ExpansionBudget) -> Iterator[tuple[Place, Any]]:
-        """Yield all records, those of chunks too, with their places."""
-        with _named_damages(self.path), open_file(self.path) as stream:
-            for offset, record in _outer_records(stream, self.path):
-                if type(record).__name__ == "Chunk":
-                    for byte, inner in _inner_records(_chunk_content(record, self.path, budget)):
-                        yield Place(offset, byte), inner
-                else:
-                    yield Place(offset), record
-
-    def _compression(self) -> str:
-        """Compression of the first chunk, as the writer names it."""
-        with _named_damages(self.path), open_file(self.path) as stream:
-            for _, record in _outer_records(stream, self.path):
-                if type(record).__name__ == "Chunk":
-                    return {"": "NONE", "lz4": "LZ4"}.get(record.compression, "ZSTD")
-        return "NONE"
-
-
-_MAGIC_BYTES = 8
-_IN_CHUNKS = ("Schema", "Channel", "Message")
+    def _placed_records(self, budget: ExpansionBudget) -> Iterator[tuple[Place, Any]]:
+        with open_file(self.path) as stream:
+            for offset, record in _parsed(stream, self._size()):
+                if (_kind(record) == "Header") != (offset == _MAGIC_BYTES):
+                    raise ValueError("it must begin with its header")
+                yield Place(offset), record
+                if _kind(record) == "Chunk":
+                    content = _chunk_content(record, budget)
+                    for byte, inner in _parsed(io.BytesIO(content), len(content), has_magic=False):
+                        if _kind(inner) in _IN_CHUNKS:
+                            yield Place(offset, byte), inner
 
 
-def _outer_records(stream: Any, path: Path, *, from_start: bool = True) -> Iterator[tuple[int, Any]]:
-    """Yield the records of a file outside of chunks, with the byte at which each starts."""
-    return _records_of(stream, min(_size(path), _MAX_RECORD_BYTES), has_magic=from_start)
+def _kind(record: Any) -> str:
+    return type(record).__name__
 
 
-def _inner_records(content: bytes, start: int = 0) -> Iterator[tuple[int, Any]]:
-    """Yield the records of an expanded chunk one by one, with the byte at which each starts."""
-    stream = io.BytesIO(content)
-    stream.seek(start)
-    for byte, record in _records_of(stream, len(content), has_magic=False) if content else ():
-        if type(record).__name__ in _IN_CHUNKS:
-            yield byte, record
-        if stream.tell() == len(content):
-            return
-
-
-def _records_of(stream: Any, max_bytes: int, *, has_magic: bool) -> Iterator[tuple[int, Any]]:
+def _parsed(stream: io.BufferedIOBase, size: int, *, has_magic: bool = True) -> Iterator[tuple[int, Any]]:
+    """Yield the records of a file, or of the content of a chunk, one by one, with the byte at which each starts."""
     reader = _mcap_module("stream_reader").StreamReader(
-        stream, skip_magic=not has_magic, emit_chunks=True, record_size_limit=max_bytes
+        stream, skip_magic=not has_magic, emit_chunks=True, record_size_limit=min(size, _MAX_RECORD_BYTES)
     )
-    start = stream.tell() + (_MAGIC_BYTES if has_magic else 0)
-    for record in reader.records:
+    records, start = reader.records, _MAGIC_BYTES if has_magic else stream.tell()
+    while has_magic or start < size:  # a chunk has no record that ends it
+        record = next(records, None)
+        if record is None:
+            return
         yield start, record
         start = stream.tell()
 
 
-def _size(path: Path) -> int:
-    try:
-        return path.stat().st_size
-    except OSError as error:
-        raise CaptureError(f"{path}: {'no such file' if error.errno == ENOENT else error.strerror}") from None
-
-
-def _chunk_content(chunk: Any, path: Path, budget: ExpansionBudget) -> bytes:
-    """Expand a chunk; raises `TooLargeError` if it holds more than the budget has left."""
-    size, content = chunk.uncompressed_size, chunk.data
-    if chunk.compression == "zstd":
-        content = _unzstd(content, budget)
-    elif chunk.compression == "lz4":
-        content = import_module("lz4.frame").LZ4FrameDecompressor().decompress(content, budget.left_bytes + 1)
-        budget.spend(len(content))
-    elif chunk.compression:
-        raise CaptureError(f"{path}: a chunk has the compression {chunk.compression!r}; expected zstd or lz4")
-    if len(content) != size:
-        raise CaptureError(f"{path}: a chunk says that it holds {size} bytes, and has another number of them")
+def _chunk_content(chunk: Any, budget: ExpansionBudget) -> bytes:
+    content = _expanded(chunk.data, chunk.compression, budget)
+    if len(content) != chunk.uncompressed_size:
+        raise ValueError(f"a chunk says that it holds {chunk.uncompressed_size} bytes, and has another number of them")
     return content
 
 
 @lru_cache(maxsize=2)
 def _record_at(path: Path, offset: int) -> tuple[Any, bytes]:
     """Return the record at a byte, and its content if it is a chunk; neighbors are usually read next."""
+    size = path.stat().st_size
     with open_file(path) as stream:
         stream.seek(offset)
-        _, record = next(_outer_records(stream, path, from_start=False))
-    is_chunk = type(record).__name__ == "Chunk"
-    return record, _chunk_content(record, path, ExpansionBudget(_size(path), path)) if is_chunk else b""
+        _, record = next(_parsed(stream, size, has_magic=False))
+    return record, _chunk_content(record, ExpansionBudget(size, path)) if _kind(record) == "Chunk" else b""
 
 
 # SQLite, the storage of ROS 2 bags before Iron
 
+_STORED_TABLES = "SELECT name FROM sqlite_master WHERE type = 'table' AND rootpage > 0"  # no views, nothing virtual
+_MIN_STEPS, _STEPS_PER_BYTE = 10_000_000, 8  # of SQLite's machine, which takes some 12 for a row
+_STEPS_BETWEEN_CHECKS = 10_000
 
-@dataclass(frozen=True)
-class SqliteContainer:
+
+class SqliteContainer(Container):
     """SQLite file of a ROS 2 bag."""
 
-    path: Path
-    compressed: bool = False
-    """True if each message is compressed."""
+    kind = "the database of a ROS 2 bag that can be read"
 
-    def topics(self) -> list[Topic]:
-        with self._opened() as query:
-            used = {row[0] for row in query("SELECT DISTINCT topic_id FROM messages")}
-            return [topic for number, topic in _sqlite_topics(query).items() if number in used]
-
-    def messages(self, topics: Collection[Topic] | None = None) -> Iterator[BagMessage]:
-        budget = self._budget()
-        with self._opened() as query:
-            known = _sqlite_topics(query)
-            asked = [number for number, topic in known.items() if topics is None or topic in topics]
-            marks = ",".join("?" * len(asked))
-            rows = query(
-                f"SELECT id, topic_id, timestamp, data FROM messages WHERE topic_id IN ({marks}) "
-                "ORDER BY timestamp, id",
-                asked,
-            )
-            for number, topic, time_ns, data in rows:
-                yield BagMessage(known[topic], Place(int(number)), int(time_ns), self._data(data, budget))
+    def messages(self) -> Iterator[BagMessage]:
+        with self._opened() as database:
+            budget, delivered = self._budget(), ByteBudget(self._size(), self.path)
+            topics = {
+                number: Topic(str(name), str(kind), str(form))
+                for number, name, kind, form in database.execute(
+                    "SELECT id, name, type, serialization_format FROM topics"
+                )
+            }
+            for number, topic, time_ns, data in database.execute("SELECT id, topic_id, timestamp, data FROM messages"):
+                delivered.spend(len(data))  # a damaged file may repeat its pages
+                if topic in topics:
+                    yield BagMessage(topics[topic], Place(int(number)), int(time_ns), self._bytes(data, budget))
 
     def read(self, place: Place) -> bytes:
-        with self._opened() as query:
-            row = next(query("SELECT data FROM messages WHERE id = ?", [place.offset]), None)
-        if row is None:
-            raise CaptureError(f"{self.path}: message {place.offset} is gone")
-        return self._data(row[0], self._budget())
+        with self._opened() as database:
+            row = database.execute("SELECT data FROM messages WHERE id = ?", [place.offset]).fetchone()
+            if row is None:
+                raise ValueError(f"message {place.offset} is gone")
+            return self._bytes(row[0], self._budget())
 
-    def copy(self, target: Path, changed: Callable[[BagMessage], bytes | None]) -> None:
+    def copy(self, target: Path, changed: Change) -> None:
         """Copy the file and put new data into the rows of changed messages."""
         with whole_file(target) as partial:
             shutil.copyfile(self.path, partial)
-            with self._named_damages(), closing(sqlite3.connect(partial)) as database, database:
-                query = Query(database, _size(partial))
-                list(query("PRAGMA journal_mode = MEMORY"))
+            with closing(sqlite3.connect(partial)) as database, database:
+                with self._named_damages():
+                    limit_steps(database, self._size())
+                    database.execute("PRAGMA journal_mode = MEMORY")
                 for message in self.messages():
                     new = changed(message)
                     if new is not None:
-                        data = _packed(new) if self.compressed else new
-                        list(query("UPDATE messages SET data = ? WHERE id = ?", [data, message.place.offset]))
+                        with self._named_damages():
+                            row = self._packed(new), message.place.offset
+                            database.execute("UPDATE messages SET data = ? WHERE id = ?", row)
 
-    def _data(self, data: Any, budget: ExpansionBudget) -> bytes:
+    def _bytes(self, data: Any, budget: ExpansionBudget) -> bytes:
         if not isinstance(data, bytes):
-            raise CaptureError(f"{self.path}: a message that is no bytes")
-        with self._named_damages():
-            return _unpacked(data, self.path, budget) if self.compressed else data
-
-    def _budget(self) -> ExpansionBudget:
-        return ExpansionBudget(_size(self.path), self.path)
+            raise TypeError("a message that is no bytes")
+        return self._unpacked(data, budget)
 
     @contextmanager
-    def _opened(self) -> "Generator[Query]":
+    def _opened(self) -> Generator[sqlite3.Connection]:
         with self._named_damages():
             check_file(self.path)
+            size = self._size()
             with closing(sqlite3.connect(f"{self.path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)) as database:
-                database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _size(self.path))  # a value is stored in the file
-                query = Query(database, _size(self.path))
-                stored = {str(row[0]).lower() for row in query(_STORED_TABLES)}
+                database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, size)  # a value is stored in the file
+                limit_steps(database, size)
+                stored = {str(row[0]).lower() for row in database.execute(_STORED_TABLES)}
                 for name in {"messages", "topics"} - stored:
                     raise CaptureError(f"{self.path}: not the database of a ROS 2 bag: it has no table {name!r}")
-                yield query
-
-    @contextmanager
-    def _named_damages(self) -> Generator[None]:
-        try:
-            yield
-        except FileNotFoundError:
-            raise CaptureError(f"{self.path}: no such file") from None
-        except TooLargeError as error:
-            raise CaptureError(f"{self.path}: its messages are {error.strerror}") from None
-        except (sqlite3.Error, KeyError, TypeError, OverflowError, TimeoutError, UnicodeDecodeError) as error:
-            why = error.strerror if isinstance(error, TimeoutError) else str(error)
-            raise CaptureError(f"{self.path}: not the database of a ROS 2 bag that can be read ({why})") from None
+                yield database
 
 
-_STORED_TABLES = "SELECT name FROM sqlite_master WHERE type = 'table' AND rootpage > 0"  # no views, nothing virtual
-_STEPS_BETWEEN_CHECKS = 20_000  # of SQLite's machine: some 0.2 ms
-_MIN_ROW_BYTES = 4  # a row takes more in a file
-
-
-class Query:
-    """Queries of a database from a stranger, in which pages may repeat without end and values may be made up."""
-
-    def __init__(self, database: sqlite3.Connection, stored_bytes: int) -> None:
-        self._database, self._stored_bytes = database, stored_bytes
-        database.execute("PRAGMA trusted_schema = OFF")
-
-    def __call__(self, statement: str, values: Sequence[Any] = ()) -> Iterator[Any]:
-        """Yield the rows, no more bytes of them than the file has.
-
-        Raises sqlite3.Error, `TooLargeError`, and TimeoutError if the next row takes too long.
-        """
-        budget = ByteBudget(self._stored_bytes, "query")
-        rows: Iterator[Any] | None = None
-        while True:
-            deadline = reading_deadline(self._stored_bytes)
-            self._database.set_progress_handler(lambda end=deadline: end.left_s == 0, _STEPS_BETWEEN_CHECKS)
-            try:
-                rows = self._database.execute(statement, values) if rows is None else rows
-                row = next(rows, None)
-            except sqlite3.OperationalError as error:
-                # Errors of Python's module have no code.
-                if getattr(error, "sqlite_errorcode", None) != sqlite3.SQLITE_INTERRUPT:
-                    raise
-                deadline.check()
-                raise KeyboardInterrupt from None  # the module drops what its handler raises
-            if row is None:
-                return
-            budget.spend(_MIN_ROW_BYTES + sum(len(value) for value in row if isinstance(value, bytes | str)))
-            yield row
-
-
-def _sqlite_topics(query: Query) -> dict[int, Topic]:
-    rows = query("SELECT id, name, type, serialization_format FROM topics")
-    return {int(number): Topic(str(name), str(kind), str(form)) for number, name, kind, form in rows}
+def limit_steps(database: sqlite3.Connection, stored_bytes: int) -> None:
+    """Let queries of a database from a stranger end, in which pages may repeat without end and triggers may loop."""
+    database.execute("PRAGMA trusted_schema = OFF")
+    steps = iter(range((_MIN_STEPS + _STEPS_PER_BYTE * stored_bytes) // _STEPS_BETWEEN_CHECKS))
+    database.set_progress_handler(lambda: next(steps, None) is None, _STEPS_BETWEEN_CHECKS)

@@ -1,14 +1,11 @@
-"""KSPLAT scenes (mkkellogg, https://github.com/mkkellogg/GaussianSplats3D), and `.splat` scenes.
-
-Levels 0 to 2 of KSPLAT are read, level 1 is written.
-"""
+"""KSPLAT scenes (mkkellogg, https://github.com/mkkellogg/GaussianSplats3D), levels 0 to 2, and `.splat` scenes."""
 
 import struct
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64, Shaped
+from jaxtyping import Float32, Shaped
 
 from ...safe_io.limits import read_file
 from ..files import SceneFormatError
@@ -29,8 +26,6 @@ _BUCKET_BYTES = 12
 _POSITION_RANGE = 32767
 _HARMONICS_RANGE = 1.5  # default for a header whose range of positions or of 8-bit harmonics is 0
 _LARGEST_DEGREE = 2
-_BLOCK_SIZE, _BUCKET_SIZE = 5.0, 256  # as GaussianSplats3D writes
-_FARTHEST_BLOCK = 1 << 20  # from which on a block's center in float32 is as coarse as the steps in it
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,59 +166,6 @@ def _decode_harmonics(
         band = stored[:, 3 * (first - 1) : 3 * (end - 1)].reshape(len(records), 3, end - first)
         sh[:, first:end] = band.transpose(0, 2, 1)
     return sh
-
-
-# Writing
-
-
-def write_ksplat(gaussians: Gaussians, path: Path) -> None:
-    """Write a KSPLAT file of level 1: halves, and means in 16 bits of the block of 5 units that they are in.
-
-    Gaussians are in the order of their blocks; harmonics above degree 2 are left out, colors clamped to 0 .. 1.
-
-    Raises `ValueError` without Gaussians, and for means that no block of that size can hold.
-    """
-    if not len(gaussians):
-        raise ValueError("a .ksplat has at least one Gaussian; there is none to write")
-    low = gaussians.means.min(axis=0).astype(np.float64)
-    blocks = np.floor((gaussians.means - low) / _BLOCK_SIZE)
-    if blocks.max() > _FARTHEST_BLOCK:
-        raise ValueError(f"a .ksplat has room for {_BLOCK_SIZE * _FARTHEST_BLOCK:g} units along an axis")
-    order, lengths = _buckets(blocks)
-    ordered, firsts = gaussians.take(order), np.cumsum(lengths) - lengths
-    centers = (low + (blocks[order[firsts]] + 0.5) * _BLOCK_SIZE).astype(np.float32)
-    offsets = (ordered.means - np.repeat(centers, lengths, axis=0)) * (2 * _POSITION_RANGE / _BLOCK_SIZE)
-    degree = min(ordered.sh_degree, _LARGEST_DEGREE)
-    records = np.empty(len(ordered), _record(1, degree))
-    records["mean"] = np.clip(np.rint(offsets) + _POSITION_RANGE, 0, 2 * _POSITION_RANGE + 1)
-    records["scale"] = np.minimum(ordered.scales, np.finfo(np.float16).max)
-    records["quaternion"] = ordered.quaternions
-    records["color"][:, :3] = rounded_bytes((ordered.sh[:, 0] * np.float32(SH_C0) + np.float32(0.5)) * 255)
-    records["color"][:, 3] = rounded_bytes(ordered.opacities * 255)
-    for d in range(1, degree + 1):
-        first, end = COEFFICIENTS_OF_DEGREE[d - 1], COEFFICIENTS_OF_DEGREE[d]
-        band = ordered.sh[:, first:end].transpose(0, 2, 1).reshape(len(ordered), -1)
-        records["harmonics"][:, 3 * (first - 1) : 3 * (end - 1)] = band
-    full = int(np.count_nonzero(lengths == _BUCKET_SIZE))
-    body = lengths[full:].astype("<u4").tobytes() + centers.astype("<f4").tobytes() + records.tobytes()
-    n, buckets, rest = len(ordered), len(lengths), len(lengths) - full
-    header = _HEADER.pack(0, 1, 1, 1, n, n, 1, 0, 0, 0, -_HARMONICS_RANGE, _HARMONICS_RANGE)
-    section = _SECTION.pack(
-        n, n, _BUCKET_SIZE, buckets, _BLOCK_SIZE, _BUCKET_BYTES, _POSITION_RANGE, len(body), full, rest, degree
-    )
-    path.write_bytes(header.ljust(_HEADER_BYTES, b"\0") + section.ljust(_SECTION_BYTES, b"\0") + body)
-
-
-def _buckets(blocks: Float64[np.ndarray, "n 3"]) -> tuple[Int64[np.ndarray, " n"], Int64[np.ndarray, " buckets"]]:
-    """Order of Gaussians by their blocks, cut into buckets, full ones first; and the buckets' lengths."""
-    order = np.lexsort(blocks.T)
-    starts = np.flatnonzero(np.r_[True, np.any(np.diff(blocks[order], axis=0) != 0, axis=1)])
-    in_block = np.arange(len(order)) - np.repeat(starts, np.diff(np.r_[starts, len(order)]))
-    firsts = np.flatnonzero(in_block % _BUCKET_SIZE == 0)
-    lengths = np.diff(np.r_[firsts, len(order)])
-    by_fullness = np.argsort(lengths < _BUCKET_SIZE, kind="stable")
-    is_full = np.repeat(lengths == _BUCKET_SIZE, lengths)
-    return order[np.argsort(~is_full, kind="stable")], lengths[by_fullness]
 
 
 # .splat

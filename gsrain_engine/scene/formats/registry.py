@@ -21,7 +21,7 @@ from ..transforms import flatten_scene, lost_far_out, lost_when_flattened
 from ._common import Format, check_finite, checked_gaussians
 from .compressed_ply import write_compressed
 from .gltf import read_gltf, read_gltf_scene, write_glb, write_glb_scene
-from .ksplat import read_ksplat, read_splat, write_ksplat, write_splat
+from .ksplat import read_ksplat, read_splat, write_splat
 from .ply import read_ply, read_ply_scene, write_ply, write_ply_scene
 from .sog import read_sog
 from .sog_writer import write_sog
@@ -50,14 +50,7 @@ FORMATS = (
     ),
     Format(".splat", read_splat, write_splat, "32 bytes per Gaussian, no view-dependent color", 0),
     Format(".spz", read_spz, write_spz, "Niantic's, versions 1 to 4; version 4 is written"),
-    Format(
-        ".ksplat",
-        read_ksplat,
-        write_ksplat,
-        "GaussianSplats3D's, levels 0 to 2, SH degree 0 to 2; "
-        "level 1 is written: 24 bytes per Gaussian plus its harmonics",
-        2,
-    ),
+    Format(".ksplat", read_ksplat, None, "GaussianSplats3D's, levels 0 to 2, SH degree 0 to 2", 2),
     Format(".sog", read_sog, write_sog, "PlayCanvas' images in a zip file; version 2 is written"),
     Format(
         ".glb",

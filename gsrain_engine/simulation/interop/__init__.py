@@ -1,1 +1,1 @@
-"""Interoperation with other programs: HUGSIM, OpenSCENARIO, OpenDRIVE, MCAP."""
+"""Interoperation with other programs: HUGSIM, OpenSCENARIO, OpenDRIVE, ROS 2, Rerun."""

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from tempfile import NamedTemporaryFile
 from typing import NamedTuple
 
 import numpy as np
@@ -68,16 +67,6 @@ def in_morton_order(suffix: str, gaussians: Gaussians) -> tuple[Gaussians, bytes
     return before.take(chunk_order(before)), data
 
 
-def in_blocks(suffix: str, gaussians: Gaussians) -> tuple[Gaussians, bytes]:
-    """Those of the file, by their nearest means."""
-    before, data = ours(suffix, gaussians)
-    with NamedTemporaryFile(suffix=suffix) as file:
-        Path(file.name).write_bytes(data)
-        distances, nearest = cKDTree(before.means).query(read_gaussians(Path(file.name)).means)
-    assert len({*nearest.tolist()}) == len(before) and distances.max() < 1e-3
-    return before.take(nearest), data
-
-
 def text(gaussians: Gaussians) -> tuple[Gaussians, bytes]:
     return gaussians, write_text(written(gaussians, ".ply"), before="7\n8\n")
 
@@ -101,9 +90,6 @@ ROUND_TRIPS = {
     "glb": RoundTrip(".glb", partial(ours, ".glb"), 0, 1e-6, 1e-6, 0, 0, 0),
     "compressed ply": RoundTrip(
         ".compressed.ply", partial(in_morton_order, ".compressed.ply"), 0.03, 3e-3, 1e-5, _BYTE, 0.05, 0.51 / 32
-    ),
-    "ksplat": RoundTrip(
-        ".ksplat", partial(in_blocks, ".ksplat"), 0.51 * BLOCK / 2 / 32767, 2**-10, 1e-5, _BYTE, _BYTE / SH_C0, 2e-3, 2
     ),
     "ksplat 0": RoundTrip(".ksplat", partial(of_level, 0), 0, 1e-6, 1e-6, _BYTE, _BYTE / SH_C0, 1e-6, 2),
     "ksplat 1": RoundTrip(
