@@ -51,12 +51,7 @@ class _Content(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     @property
     def id(self) -> str:
         """Hash of the content (20 hex digits), equal for equal jobs on every machine."""
-        return hashlib.sha256(msgspec.json.encode(self.identity, order="sorted")).hexdigest()[:20]
-
-    @property
-    def identity(self) -> dict[str, Any]:
-        """Plain values that the id is made of."""
-        return msgspec.to_builtins(self)
+        return hashlib.sha256(msgspec.json.encode(self, order="sorted")).hexdigest()[:20]
 
     def shared(self, kind: str) -> dict[str, Any]:
         """Return values for the parameter columns that jobs of all kinds have."""
@@ -71,16 +66,6 @@ class DriveJob(_Content, frozen=True, kw_only=True, forbid_unknown_fields=True, 
     """The scenario with this job's rain, scene and jittered start."""
     agent: AgentChoice
     variant: Variant = Variant()
-
-    @property
-    def identity(self) -> dict[str, Any]:
-        """Plain values, without those that version 0.1.0 did not have while they have its meaning."""
-        values = super().identity
-        if self.variant == Variant():
-            del values["variant"]
-        if self.agent.hugsim is None:
-            del values["agent"]["hugsim"]
-        return values
 
     @property
     def title(self) -> str:

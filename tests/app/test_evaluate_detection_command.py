@@ -130,7 +130,7 @@ def test_the_rain_is_taken_apart_and_drop_sizes_are_compared(
     project, detector, tmp_path, reported, monkeypatch, capsys
 ):
     out = tmp_path / "out"
-    options = ("--rain", "50", "--seeds", "2", "--frames", "1", "--attribute", "--diameter-scale", "1,2", "-o", out)
+    options = ("--rain", "50", "--seeds", "2", "--frames", "1", "--attribute=all", "--diameter-scale", "1,2", "-o", out)
     asked = counted(monkeypatch)
     report = reported(*words(project, detector, *options))
     assert len(asked) == 1 + 2 + (1 + 2 * 2) + 2  # clear, rainy; no factor, each of two with two seeds; larger drops
