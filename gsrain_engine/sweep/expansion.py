@@ -14,7 +14,7 @@ from msgspec import Struct, structs
 
 from ..backends import Backend
 from ..evaluation.attribution.factors import RainFactors, is_attributed
-from ..evaluation.attribution.shapley import AttributionPlan, Coalition
+from ..evaluation.attribution.shapley import Coalition
 from ..evaluation.detection.detector import find_detector
 from ..plugins import AGENTS, DECODERS, SCENE_FORMATS, find_extensions
 from ..rain.calibration import calibration_names
@@ -176,9 +176,9 @@ class AttributedDrive(NamedTuple):
     """A drive, and the same with parts of its rain."""
 
     drive: DriveJob
-    plan: AttributionPlan
+    factors: RainFactors
     jobs: dict[Coalition, DriveJob]
-    """Jobs of the coalitions that the plan takes for the drive's seed; that of all factors is the drive itself."""
+    """Jobs of the evaluated coalitions; that of all factors is the drive itself."""
 
 
 def attributed_drives(sweep: DriveSweep) -> list[AttributedDrive]:
@@ -194,11 +194,10 @@ def attributed_drives(sweep: DriveSweep) -> list[AttributedDrive]:
         rain = drive.scenario.rain
         if rain.intensity_mm_h > 0:
             factors = RainFactors.of(rain, sweep.attribute, drive.scene, friction=drive.scenario.friction)
-            if not factors.game.factors:
+            if not factors.names:
                 raise ValueError(f"attribute: the rain of {drive.title} has no factors")
-            plan = AttributionPlan.of(factors.game, sweep.attribute_pairs)
-            jobs = {each: _coalition(drive, factors, each, hashes) for each in plan.coalitions(drive.seed)}
-            found.append(AttributedDrive(drive, plan, jobs))
+            jobs = {each: _coalition(drive, factors, each, hashes) for each in factors.evaluated}
+            found.append(AttributedDrive(drive, factors, jobs))
     if not found:
         raise ValueError("attribute: expected an intensity above 0 mm/h")
     return found

@@ -102,7 +102,6 @@ sweep sweep.yaml --summarize-only                    | no rows
 sweep folderless.yaml                                | --output DIR
 sweep sweep.yaml --attribute=rain                    | --attribute rain: expected all
 sweep sweep.yaml --attribute=mirror                  | --attribute mirror
-sweep sweep.yaml --attribute all --attribute-pairs 2000 | --attribute-pairs
 sweep dataset -o out --attribute all                 | --attribute: sweep dataset makes clips
 drive --agent nobody                                 | --agent nobody
 drive --rain "a lot"                                 | --rain a lot
@@ -140,7 +139,6 @@ evaluate detection boxy --detector x --video v.avi   | --video v.avi
 evaluate detection pictures --detector x --wet       | x
 evaluate detection boxy --detector x --attribute=rain | --attribute rain: expected all
 evaluate detection boxy --detector x --attribute streaks,mirror | --attribute mirror
-evaluate detection boxy --detector x --attribute-pairs 2000 | --attribute-pairs 2000
 evaluate detection boxy --detector x --diameter-scale 1,9 | --diameter-scale
 evaluate detection boxy --detector x --diameter-scale much | --diameter-scale
 serve nothing | nothing

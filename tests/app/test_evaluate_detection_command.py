@@ -142,7 +142,7 @@ def test_the_rain_is_taken_apart_and_drop_sizes_are_compared(
     assert [each["factor"] for each in confidence["shares"]] == ["streaks", "medium"]
     assert sum(each["mean"] for each in confidence["shares"]) == pytest.approx(scores[50] - scores[0], abs=1e-12)
     assert sum(each["part_of_whole"] for each in confidence["shares"]) == pytest.approx(1)
-    assert (confidence["coalitions"], confidence["order_pairs"], confidence["seeds"]) == (4, 0, [0, 1])
+    assert (confidence["coalitions"], confidence["seeds"]) == (4, [0, 1])
     assert [each["diameter_scale"] for each in report["drop_sizes"]] == [1, 2]
     for name in ("attribution.png", "attribution_steps.png", "drop_sizes.png"):
         assert np.asarray(Image.open(out / name)).shape[1] > 64
