@@ -2,10 +2,9 @@
 
 import logging
 import os
-import re
 import select
 import sys
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from contextlib import redirect_stdout
 from contextvars import copy_context
 from difflib import get_close_matches
@@ -31,32 +30,6 @@ if TYPE_CHECKING:
 BAD_INPUT, INTERRUPTED, NOBODY_READS = 2, 130, 141
 _OURS = ("gsrain", "gsrain_engine", "app")  # loggers whose info messages the command line prints
 _HARMLESS = frozenset({"--help", "-h", "--version"})  # options that need no working directory
-
-OLD_OPTIONS = {
-    "render": "closure=drop-density look=mode twin=clear-pair metres-per-unit=meters-per-unit",
-    "convert": "metres-per-unit=meters-per-unit",
-    "disdrometer": "closure=drop-density",
-    "recolor": "polish=photometric-steps",
-    "transfer": "sheet=contact-sheet guide=conditioning neighbours=neighbors mutual-attention=cross-view-attention",
-    "evaluate streaks": "light=blend-space",
-    "evaluate lidar": "least-reflectance=min-reflectance",
-    "evaluate consistency": "neighbours=neighbors film=water-film sheet=contact-sheet sheet-pairs=contact-sheet-pairs",
-}
-"""Options of version 0.1 and their names of today, by command."""
-
-
-def _factor_words() -> frozenset[str]:
-    from gsrain_engine.evaluation.attribution.factors import ALL, NO_FACTORS, factor_names  # loads the engine
-
-    return frozenset({ALL, NO_FACTORS, *factor_names()})
-
-
-_CHOICES: dict[str, tuple[Callable[[], frozenset[str]], str, str]] = {
-    "attribute": (_factor_words, "all", "none"),
-    "haze": (lambda: frozenset({"medium", "gaussians", "none"}), "medium", "none"),
-    "clear-pair": (lambda: frozenset({"none", "sunny", "overcast"}), "sunny", "none"),
-}
-"""Words after an option, with commas if several, what it is alone, and what --no- makes of it."""
 
 app = App(
     name="gsrain",
@@ -150,7 +123,7 @@ def run(arguments: list[str]) -> int:
             add_installed_evaluations(arguments[1:])
         # Run in a separate context, so that permissions of one command end with it.
         code = copy_context().run(
-            app, list(renamed_options(arguments)), exit_on_error=False, print_error=False, result_action="return_value"
+            app, spelled_out(arguments), exit_on_error=False, print_error=False, result_action="return_value"
         )
         return code if isinstance(code, int) else 0
     except (CycloptsError, ValueError, OSError, MemoryError, ImportError) as error:
@@ -223,23 +196,9 @@ def _built_in_scenes() -> Collection[str]:
     return STREETS
 
 
-def renamed_options(arguments: Sequence[str]) -> Iterator[str]:
-    """Yield the arguments with the options of version 0.1 under their names of today."""
-    command = " ".join(arguments[: 2 if arguments[:1] == ["evaluate"] else 1])
-    names = dict(each.split("=") for each in OLD_OPTIONS.get(command, "").split())
-    for number, argument in enumerate(arguments):
-        if argument == "--":
-            yield from arguments[number:]
-            return
-        option = re.fullmatch(r"--(no-)?([\w-]+)(=.*)?", argument, re.DOTALL)
-        name = names.get(option[2], option[2]) if option else None
-        if option and name in _CHOICES and not option[3]:
-            words, alone, negative = _CHOICES[name]
-            following = "".join(arguments[number + 1 : number + 2]).split(",")
-            if option[1] or not words().issuperset(following):
-                yield f"--{name}={negative if option[1] else alone}"
-                continue
-        yield f"--{option[1] or ''}{name}{option[3] or ''}" if option and name else argument
+def spelled_out(arguments: Iterable[str]) -> list[str]:
+    """Return arguments with the only negative of a choice, --no-haze, as the choice that it is."""
+    return ["--haze=none" if each == "--no-haze" else each for each in arguments]
 
 
 # Evaluations of other installed packages

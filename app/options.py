@@ -115,12 +115,6 @@ def setting(kind: type, name: str, ending: str = "") -> Parameter:
     form = "As WIDTHxHEIGHT." if field.is_size else form
     text = " ".join(filter(None, (*(each.described for each in sharing), form, ending)))
     more: dict[str, Any] = {"negative": ""} if _is_struct(field.item) else {}
-    if "spelling" in field.extra:  # takes the values themselves, too
-
-        def spelled(kind: Any, tokens: Sequence[Token]) -> Any:
-            return convert(kind, [each.evolve(value=_spelled(field, each.value)) for each in tokens])
-
-        more["converter"] = spelled
     return option(text, *field.options, **more)
 
 

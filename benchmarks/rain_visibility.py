@@ -20,7 +20,7 @@ from gsrain_engine.scene.open import load_street
 from gsrain_engine.scene.scene import Scene
 
 SEEDS, INTENSITIES, SIZE = 5, ("1.2", "8.5", "12.0"), (960, 640)
-STREAKS, HAZE = {"haze": False}, {"streaks": False}
+STREAKS, HAZE = {"haze": "none"}, {"streaks": False}
 
 
 def main() -> None:

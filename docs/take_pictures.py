@@ -135,9 +135,8 @@ class Photographer:
         self.ctx.mouse_move("//View/view")  # no tooltip is open
         for panel in BUILT_IN_PANELS:
             if panel.title in titles:
-                window = panel.id or panel.title
-                self.ctx.window_focus(f"//{window}")
-                self.take(panel_picture(panel.title), window, trimmed=True)
+                self.ctx.window_focus(f"//{panel.title}")
+                self.take(panel_picture(panel.title), panel.title, trimmed=True)
         hello_imgui.change_window_size(_SIZE)
         self.frames()
 
@@ -204,7 +203,7 @@ def picture_pages(camera: Photographer) -> None:
     editor.camera_path.path_from_drive(every_s=2.0)
     editor.playback.clock.seek(_MOMENT_S)
     editor.viewport.ride(True)
-    for panel in ("Layers", "Rain", "Shower", "View"):
+    for panel in ("Layers", "Rain", "Rain keyframes", "View"):
         camera.ctx.window_focus(f"//{panel}")
     camera.ctx.mouse_move("//View/view")
     camera.frames(20)
@@ -226,11 +225,11 @@ def picture_wet(camera: Photographer) -> None:
     editor = camera.editor
     camera.ctx.window_focus("//View")
     camera.take("wet_clear", "View", _TOOL_WIDTH)
-    camera.ctx.window_focus("//Make it rainy")
+    camera.ctx.window_focus("//Wet look")
     editor.wet_look.preview()
     while editor.jobs.running or editor.viewport.options.split == "off":
         camera.frames(1)
-    camera.ctx.mouse_move("//Make it rainy/###preview")
+    camera.ctx.mouse_move("//Wet look/###preview")
     camera.take("wet_look")
     editor.viewport.options.split = "off"
     camera.frames()
@@ -289,7 +288,7 @@ def picture_drive(camera: Photographer) -> None:
         while editor.jobs.running or drives.is_working:
             camera.frames(1)
     drives.mosaic.rig = "nuscenes"
-    for panel in ("View", "Drive", "Drive plots", "Rig cameras"):
+    for panel in ("View", "Drive", "Drive plots", "Camera rig"):
         camera.ctx.window_focus(f"//{panel}")
     drives.jump(_IN_THE_DRIVE_S)
     camera.frames(30)
@@ -330,11 +329,11 @@ def _take_sheets(camera: Photographer, dpi_scale: float) -> None:
         editor.preferences.value = msgspec.structs.replace(editor.preferences.value, theme=theme)
         pictures = dict[str, list[Image.Image]]()
         for panel in BUILT_IN_PANELS:
-            camera.ctx.window_focus(f"//{panel.id or panel.title}")
+            camera.ctx.window_focus(f"//{panel.title}")
             camera.frames()
             while editor.rollouts.mosaic.is_behind:
                 camera.frames(1)
-            taken = camera.picture(panel.id or panel.title, trimmed=True)
+            taken = camera.picture(panel.title, trimmed=True)
             pictures.setdefault(panel.side.split()[0], []).append(taken)
         for end, sides in _PARTS[dpi_scale].items():
             shown = [picture for side in sides for picture in pictures[side]]

@@ -21,7 +21,7 @@ image.save(out / "rain.png")
 print(f"{image}: mean color {image.rgb.mean(axis=(0, 1)).round()}, up to {image.depth.max():.0f} m away")
 
 path = gr.CameraPath.orbit(scene, seconds=1)
-print(gr.render_video(wet, rain, path, out / "rain.mp4", size=(480, 320), fps=5, clear_pair=True))
+print(gr.render_video(wet, rain, path, out / "rain.mp4", size=(480, 320), fps=5, clear_pair="sunny"))
 for number, frame in enumerate(gr.frames(wet, rain, path, size=(480, 320), fps=5)):  # arrays; writes no files
     print(f"frame {number}: {frame.linear.mean():.3f} of white on average")
 

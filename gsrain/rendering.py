@@ -112,7 +112,7 @@ class Clip(TypedDict, total=False):
 class VideoClip(Clip, total=False):
     """Settings of a video; see `render_video`."""
 
-    clear_pair: bool | Literal["sunny", "overcast"]
+    clear_pair: Literal["sunny", "overcast"] | None
     supersampling: int
     motion_blur: int
     quality: int | None
@@ -298,7 +298,7 @@ def render_video(
     fps: float = 30.0,
     start: float = 0.0,
     end: float | None = None,
-    clear_pair: bool | Literal["sunny", "overcast"] = False,
+    clear_pair: Literal["sunny", "overcast"] | None = None,
     supersampling: int = 1,
     motion_blur: int = 1,
     quality: int | None = None,
@@ -317,7 +317,7 @@ def render_video(
         start: Moment of the first frame in seconds, of scene, rain and path.
         end: Moment at which the clip ends; None is the end of the path, or 10 s for a camera that stands still.
         clear_pair: Whether to write the same clip without drops and haze, too, as NAME.clear with the same ending:
-            "sunny" or True as the scene is lit, "overcast" in the light and wet colors of the rain.
+            "sunny" as the scene is lit, "overcast" in the light and wet colors of the rain.
         supersampling: Render 1..4 times wider and higher, and take the mean.
         motion_blur: Sub-frames, 1..64, over the exposure.
         quality: Constant rate factor, lower is better: 0..51 in .mp4 (default 18), 0..63 in .webm (default 24).

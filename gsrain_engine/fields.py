@@ -262,8 +262,6 @@ def _unwrapped(hint: Any) -> tuple[Any, list["msgspec.Meta"]]:
             hint = hint.__origin__
         elif get_origin(hint) in (Union, UnionType) and NoneType in get_args(hint):
             hint = Union[tuple(each for each in get_args(hint) if each is not NoneType)]  # noqa: UP007
-        elif get_origin(hint) in (Union, UnionType) and bool in get_args(hint):  # on and off of earlier files
-            hint = Union[tuple(each for each in get_args(hint) if each is not bool)]  # noqa: UP007
         else:
             return hint, metas
 

@@ -10,7 +10,7 @@ import yaml
 from cyclopts import CycloptsError, UnknownCommandError, UnknownOptionError
 
 import gsrain as gr
-from app.main import app, benchmarks, evaluations, renamed_options
+from app.main import app, benchmarks, evaluations, spelled_out
 from docs import tables
 from documentation import PAGES, anchors_of, commands_of, links_of, text_of
 from repository import REPOSITORY
@@ -123,7 +123,7 @@ def test_commands_of_the_documentation_are_those_of_the_program(name):
         if (words[0] if words else "") != name or words[:2] in OF_EXTENSIONS or "--help" in words:
             continue
         try:
-            app.parse_args(list(renamed_options(words)), exit_on_error=False, print_error=False)
+            app.parse_args(spelled_out(words), exit_on_error=False, print_error=False)
         except CycloptsError as error:
             if not command.is_whole and not isinstance(error, UnknownOptionError | UnknownCommandError):
                 continue

@@ -10,13 +10,16 @@ from PIL import Image
 from app.doctor import describe, installed_extensions
 from app.main import BAD_INPUT, run
 from extension_package import installed, titled_blocks
-from gsrain_engine.api import Agent, Scenario, Simulation, open_agent, run_drive
 from gsrain_engine.appearance.output_folder import read_transferred
 from gsrain_engine.appearance.registry import usable_methods
 from gsrain_engine.datasets.open_capture import capture_format, open_capture
 from gsrain_engine.disdrometer.open import read_disdrometer
 from gsrain_engine.plugins import GROUPS
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
+from gsrain_engine.simulation.agents.base import Agent
+from gsrain_engine.simulation.agents.registry import open_agent
+from gsrain_engine.simulation.scenario import Scenario
+from gsrain_engine.simulation.simulation import Simulation, run_drive
 from repository import REPOSITORY
 from small_scene import small_scene
 

@@ -26,7 +26,12 @@ from small_scene import small_scene
 
 MODULE = """
 import numpy as np
-from gsrain_engine.api import Candidates, CaptureFormat, Decoder, Format, Gaussians, LogFormat, Method
+from gsrain_engine.appearance.registry import TransferMethod
+from gsrain_engine.datasets.open_capture import CaptureFormat
+from gsrain_engine.disdrometer.open import LogFormat
+from gsrain_engine.evaluation.detection.decoders import BoxCandidates, Decoder
+from gsrain_engine.scene.formats._common import Format
+from gsrain_engine.scene.gaussians import Gaussians
 
 def fails(*anything):
     raise RuntimeError("the magic smoke has left")
@@ -43,14 +48,14 @@ HOLLOW = Format(".hollow", hollow, None, "NaN")
 SMOKE = Format(".smoke", fails, fails, "fails")
 NUMBER = Format(".number", lambda path: 3, None, "reads no Gaussians")
 MISNAMED = Format(".other", gaussians, None, "of another suffix")
-WET = Method("wet", "Not ours", "", fails)
-STRANGER = Method("somebody", "Of another name", "", fails)
-UNSET = Method("unset", "Asks for what is not there", "", fails, uses=("strength",))
-OPENS_NUMBER = Method("opens-number", "Opens no transfer", "", lambda settings, surroundings: 3)
-OPENS_NOT = Method("opens-not", "Fails", "", fails)
+WET = TransferMethod("wet", "Not ours", "", fails)
+STRANGER = TransferMethod("somebody", "Of another name", "", fails)
+UNSET = TransferMethod("unset", "Asks for what is not there", "", fails, uses=("strength",))
+OPENS_NUMBER = TransferMethod("opens-number", "Opens no transfer", "", lambda settings, surroundings: 3)
+OPENS_NOT = TransferMethod("opens-not", "Fails", "", fails)
 LISTS = Decoder(lambda outputs, layout: [])
 BOX, SURE = np.zeros((1, 4), np.float32), np.ones(1, np.float32)
-CLASS_9 = Decoder(lambda outputs, layout: Candidates(BOX, SURE, np.array([9])))
+CLASS_9 = Decoder(lambda outputs, layout: BoxCandidates(BOX, SURE, np.array([9])))
 DOUBTS = LogFormat(lambda lines: lines[0] == "doubt", fails)
 NOTHING = LogFormat(lambda lines: lines[0] == "nothing", lambda path, lines: 3)
 FOLDERS = CaptureFormat("anything", fails, fails)
@@ -106,7 +111,7 @@ def scene(suffix):
 @pytest.mark.parametrize(
     ("use", "kind", "names"),
     [
-        (scene("smoke"), SceneFormatError, r"smoke \(bad_lab:SMOKE of bad-lab\): line 6 of bad_lab.py: the magic"),
+        (scene("smoke"), SceneFormatError, r"smoke \(bad_lab:SMOKE of bad-lab\): line 11 of bad_lab.py: the magic"),
         (scene("number"), SceneFormatError, "number .*Gaussians"),
         (scene("misnamed"), SceneFormatError, "'.other', .* '.misnamed'"),
         (scene("function"), SceneFormatError, "function .*Format"),

@@ -17,7 +17,7 @@ from gsrain_engine.scene.open import load_street
 from repository import REPOSITORY
 
 SEEDS, INTENSITIES = range(5), ("1.2", "8.5", "12.0")
-STREAKS, HAZE = {"haze": False}, {"streaks": False}
+STREAKS, HAZE = {"haze": "none"}, {"streaks": False}
 
 
 class Stills:

@@ -13,7 +13,7 @@ import pytest
 import yaml
 from cyclopts import App
 
-from app.main import OLD_OPTIONS, app, benchmarks, evaluations, run
+from app.main import app, benchmarks, evaluations, run
 from app.schema import SETTINGS, Kind, settings_type
 from gsrain_engine.disdrometer.tables import TableColumns
 from gsrain_engine.fields import field_of, fields_of, option_names, structs_of
@@ -110,7 +110,6 @@ def test_fields_name_existing_commands():
                 assert set(each.commands) <= known, each
                 assert not each.group or each.group in GROUPS
     assert option_names(RainSettings)["intensity_mm_h"] == "--rain"
-    assert set(OLD_OPTIONS) <= known
 
 
 # The table itself

@@ -21,7 +21,6 @@ testing = pytest.importorskip("imgui_bundle.immapp.testing")
 imgui = pytest.importorskip("imgui_bundle").imgui
 hello_imgui = pytest.importorskip("imgui_bundle").hello_imgui
 
-from ui.panels.registry import all_panels  # noqa: E402
 from ui.window import MainWindow  # noqa: E402
 
 
@@ -141,16 +140,16 @@ class Driver:
 
     def panel(self, title):
         """Bring a panel to the front, by its tab or its name in a small window's strip; returns where its items are."""
-        panel, folded = next(each for each in all_panels() if each.title == title), self.window.workspace.folded
-        if panel.window_name in folded.hidden:
-            if folded.open != panel.window_name:
-                self.tap(f"//**/###fold {panel.window_name}")
-            return f"//###open panel/{panel.window_name}/"
-        window = self.ctx.window_info(f"//{panel.id or title}").window
+        folded = self.window.workspace.folded
+        if title in folded.hidden:
+            if folded.open != title:
+                self.tap(f"//**/###fold {title}")
+            return f"//###open panel/{title}/"
+        window = self.ctx.window_info(f"//{title}").window
         self.actions += window.hidden  # a click on its tab
-        self.ctx.window_focus(f"//{panel.id or title}")
+        self.ctx.window_focus(f"//{title}")
         self.frames()
-        return f"//{panel.id or title}/"
+        return f"//{title}/"
 
     def click(self, item):
         self.ctx.window_focus("//" + item.split("/")[2])  # bring its tab to the front

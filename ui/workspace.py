@@ -67,7 +67,7 @@ class Workspace:
         before = self.editor.preferences.value
         for panel in panels:
             draw = self._noting_visible(panel.title, bind_parts(panel.draw, self.editor))
-            window = hello_imgui.DockableWindow(panel.window_name, _SPACES[panel.side], draw)
+            window = hello_imgui.DockableWindow(panel.title, _SPACES[panel.side], draw)
             is_first_there = panel.side not in [each.side for each in panels[: panels.index(panel)]]
             window.focus_window_at_next_frame = panel.title in before.front_panels or (
                 is_first_there and not before.front_panels
@@ -93,9 +93,8 @@ class Workspace:
         front, self._drawn = tuple(sorted(self._drawn)), set()
         is_stable, self._front = front == self._front, front
         self._settled_front = front if is_stable else self._settled_front
-        titles = {each.window_name: each.title for each in all_panels()}
         gone = [each for each in panel_windows() if not each.is_visible and each.label not in self.folded.hidden]
-        hidden = tuple(sorted(titles[each.label] for each in gone))
+        hidden = tuple(sorted(each.label for each in gone))
         preferences = self.editor.preferences
         before = preferences.value.front_panels, preferences.value.hidden_panels
         if is_stable and front and (front, hidden) != before:
@@ -111,7 +110,7 @@ class Workspace:
         editor, viewport, wet_look = self.editor, self.editor.viewport, self.editor.wet_look
         self._began_s = time.perf_counter()
         front = self._settled_front or self._first_front
-        self.folded.update({each.window_name for each in all_panels() if each.title in front})
+        self.folded.update({each.title for each in all_panels() if each.title in front})
         self._take_picture()
         self._remember_panels()
         editor.tick(self._pace.step(imgui.get_io().delta_time))

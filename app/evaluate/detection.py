@@ -36,7 +36,6 @@ from gsrain_engine.evaluation.attribution.results import (
     share_table,
     write_share_csv,
 )
-from gsrain_engine.evaluation.attribution.shapley import MAX_PAIRS
 from gsrain_engine.evaluation.detection import run as evaluation
 from gsrain_engine.evaluation.detection import summary
 from gsrain_engine.evaluation.detection.attribution import (
@@ -124,10 +123,6 @@ def detection(
             "--attribute",
         ),
     ] = NO_FACTORS,
-    attribute_pairs: Annotated[
-        int | None,
-        option("Pairs of orders of these parts that each seed samples; 0: all orders. Default: all, if 64 subsets do."),
-    ] = None,
     frames: Annotated[int, option("Number of moments of the drive; of a capture, images of each camera.")] = 4,
     first: Annotated[float | None, option("First moment in seconds of scene time.", "--from")] = None,
     last: Annotated[float | None, option("Last moment in seconds of scene time.", "--to")] = None,
@@ -162,7 +157,6 @@ def detection(
     scales = None if diameter_scale is None else parse_scales(diameter_scale)
     factors = tuple(split_words(attribute))
     is_decomposed = _named(is_attributed, factors)
-    check_within("--attribute-pairs", attribute_pairs, 0, MAX_PAIRS)
     check_within("--seeds", seeds, 1, 1000)
     check_within("--frames", frames, 1, 10_000)
     if first is not None and last is not None and not first < last:
@@ -184,9 +178,7 @@ def detection(
         prepared = opened_source(renderer, chosen, rain_of_all)
         parts: list[RainAttribution] = []
         if is_decomposed:
-            prepared, parts = _named(
-                decomposed_source, prepared, chosen.source, factors, intensities, seeds, attribute_pairs
-            )
+            prepared, parts = _named(decomposed_source, prepared, chosen.source, factors, intensities, seeds)
         originals = all(frame.original is not None for frame in prepared.frames)
         trials = evaluation.conditions_of(
             tuple(intensities), tuple(range(seeds)), originals=originals, scene=prepared.pictures.photos is None
@@ -696,7 +688,6 @@ def decomposed_source(
     factors: Sequence[str],
     intensities: Sequence[float],
     seeds: int,
-    pairs: int | None,
 ) -> tuple[PreparedSource, list[RainAttribution]]:
     """Return a source whose rain has the chosen factors, and the attribution at each intensity.
 
@@ -704,11 +695,11 @@ def decomposed_source(
     """
     pictures, view = source.pictures, source.frames[0].shot
     rain, in_front = pictures.rain, pictures.photos is not None
-    parts = rain_attributions(rain, factors, name, pictures.scene, intensities, range(seeds), pairs, in_front=in_front)
+    parts = rain_attributions(rain, factors, name, pictures.scene, intensities, range(seeds), in_front=in_front)
     rain = msgspec.structs.replace(parts[-1].factors.rain, intensity_mm_h=rain.intensity_mm_h)
     own = evaluation.RainVariant(rain, pictures.scene, pictures.sky)
     twin = None
-    if any("light" in part.factors.game.factors for part in parts):
+    if any("light" in part.factors.names for part in parts):
         scene = load_sorted_scene(overcast_twin(name))  # its hash is not an input: it has the source of the street
         twin = own._replace(scene=scene, sky=sky_color(pictures.renderer, scene, view.camera, view.time_s))
     variants = {name: each for part in parts for name, each in part.variants(own, twin).items()}

@@ -230,7 +230,7 @@ class TransferSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         title="Override", extra={"commands": "transfer"},
         description="Run weights otherwise than they were trained.")] = False
     mutual_attention: Annotated[bool, Meta(
-        title="Mutual attention", extra={"option": "cross-view-attention", "commands": "transfer"},
+        title="Mutual attention", extra={"option": "cross-view-attention mutual-attention", "commands": "transfer"},
         description="Let each view attend to its neighbors (eq. 16-19).")] = True
     neighbours: Annotated[int, Meta(
         ge=0, le=16, title="Neighbors", extra={"option": "neighbors", "commands": "transfer"},

@@ -134,7 +134,7 @@ class RenderQueue:
         """Render the frame at the playhead in the background, as the recording would write it."""
         first_s = self._playback.clock.time_s
         still = msgspec.structs.replace(
-            self._named, output="frame.png", codec="auto", quality=None, passes=("color",), twin=False,
+            self._named, output="frame.png", codec="auto", quality=None, passes=("color",), twin=None,
             first_s=first_s, last_s=None, cameras=self.settings.cameras[:1],
         )  # fmt: skip
         try:
@@ -222,7 +222,7 @@ class RenderQueue:
             quality=None,
             fps=_PLAIN.fps,
             cameras=(),
-            twin=False,
+            twin=None,
             first_s=self._playback.clock.time_s,
             last_s=None,
         )

@@ -69,7 +69,7 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     records: int
     records_used: int
     highest_minute_mm_h: float | None = None
-    """Highest rain rate of a minute; None for files of earlier versions."""
+    """Highest rain rate of a minute."""
     method: str
 
 

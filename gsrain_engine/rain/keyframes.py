@@ -316,7 +316,10 @@ Saved = TypeVar("Saved", RainSettings, RainKeyframes)
 
 def rain_of(scene: Scene) -> RainSettings | None:
     """Return the rain saved with a scene; None if absent, or invalid, which is logged."""
-    return _read(scene, "rain", scene.rain, RainSettings)
+    values = scene.rain
+    if values is not None and isinstance(values.get("haze"), bool):  # as in older scene.json files
+        values = {**values, "haze": "medium" if values["haze"] else "none"}
+    return _read(scene, "rain", values, RainSettings)
 
 
 def keyframes_of(scene: Scene) -> RainKeyframes | None:

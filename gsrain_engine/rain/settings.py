@@ -71,7 +71,7 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
     streaks: Annotated[bool, Meta(
         title="Streaks", extra={"commands": "render"}, description="Draw near drops as streaks.")] = True
-    haze: Annotated[bool | Literal["medium", "gaussians", "none"], Meta(
+    haze: Annotated[Literal["medium", "gaussians", "none"], Meta(
         title="Haze model", extra={"commands": "render", "negative": "none"},
         description="Far drops. medium: extinction and airlight along each ray. "
         "gaussians: the paper's. none: not drawn.")] = "medium"
@@ -244,8 +244,6 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     # fmt: on
 
     def __post_init__(self) -> None:
-        if isinstance(self.haze, bool):  # as in files of version 0.1
-            msgspec.structs.force_setattr(self, "haze", "medium" if self.haze else "none")
         if self.wetness is not None and not 0 <= self.wetness <= 1:
             raise ValueError(f"wetness must be within 0..1, got {self.wetness}")
         if self.exposure_s is not None and not 1e-5 <= self.exposure_s <= 1:

@@ -67,10 +67,10 @@ class ExportSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
         min_length=1, title="Passes", extra={"commands": "render"},
         description="color; depth (16 bit, cm); alpha (8 bit); labels: which layer or actor a pixel shows.",
     )] = ("color",)
-    twin: Annotated[bool | Literal["none", "sunny", "overcast"], Meta(
+    twin: Annotated[Literal["sunny", "overcast"] | None, Meta(
         title="Also render without rain", extra={"option": "clear-pair", "commands": "render"},
-        description="The same without drops and haze, as NAME.clear, for paired tests. sunny (alone, too): at 0 mm/h, "
-        "as the scene is lit. overcast: in the light and the wet colors of the rain.")] = False
+        description="The same without drops and haze, as NAME.clear, for paired tests. sunny: at 0 mm/h, as the scene "
+        "is lit. overcast: in the light and the wet colors of the rain.")] = None
     lod: Annotated[Lod | None, Meta(
         title="Level of detail", extra={"commands": "render, drive"},
         description="pixel merges details smaller than a pixel, which makes large scenes faster; off draws every "
@@ -95,8 +95,6 @@ class ExportSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     # fmt: on
 
     def __post_init__(self) -> None:
-        if self.twin in (True, "none"):  # a file of version 0.1 has true or false
-            msgspec.structs.force_setattr(self, "twin", "sunny" if self.twin is True else False)
         if self.last_s is not None and not self.first_s < self.last_s <= self.first_s + 36000:
             raise ValueError(
                 f"last_s must be above first_s ({self.first_s:g} s) by at most 36000 s, got {self.last_s:g}"

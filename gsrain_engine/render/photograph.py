@@ -22,8 +22,8 @@ Plane = Float32[np.ndarray, "h w"]
 
 _GUIDED_SHARE, _GUIDED_SPREAD = 1 / 12, 3e-3**0.5  # radius over the width; deviation of colors (0..1) that is an edge
 _AROUND_PX, _ALIKE, _FADED = 4, 0.08, 0.05
-"""Reach of a measured distance, in pixels of the distances; deviation of colors (0..1) that are one thing; and weight of
-nothing known."""
+"""Reach of a measured distance in pixels of the distances, deviation of colors (0..1) that are one thing, and weight
+of nothing known."""
 _MIN_AHEAD = 0.1  # cosine of a ray to the axis: beyond 84 degrees, distances of the picture's edge go on
 
 

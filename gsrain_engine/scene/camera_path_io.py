@@ -21,9 +21,7 @@ from .scene import Scene
 from .transforms import world_to_file
 
 VERSION = 3
-"""Version 2 added interpolation, easing and loop, version 3 the easing of keyframes. A path without them is written as
-version 1 or 2, for older readers.
-"""
+"""Version 2 added interpolation, easing and loop, version 3 the easing of keyframes."""
 
 _NUMBERS = re.compile(r"([0-9]+)")
 
@@ -72,13 +70,9 @@ def plain_camera_path(camera_path: CameraPath) -> dict[str, Any]:
     names = "time_s", "position", "quaternion_wxyz", "vertical_fov_deg"
     keyframes = [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
     between = {"interpolation": camera_path.interpolation, "easing": camera_path.easing, "loop": camera_path.loop}
-    if any(p.key_easings):
-        for key, easing in zip(keyframes, p.key_easings, strict=True):
-            key |= {"easing": easing} if easing is not None else {}
-        return {"version": VERSION, **between, "keyframes": keyframes}
-    if between == {"interpolation": "spline", "easing": "none", "loop": False}:
-        return {"version": 1, "keyframes": keyframes}
-    return {"version": 2, **between, "keyframes": keyframes}
+    for key, easing in zip(keyframes, p.key_easings, strict=False):  # without easings, there are none
+        key |= {"easing": easing} if easing is not None else {}
+    return {"version": VERSION, **between, "keyframes": keyframes}
 
 
 def _reader(values: Any, path: Path | str) -> Callable[[Any], CameraPath]:

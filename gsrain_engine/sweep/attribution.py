@@ -18,7 +18,7 @@ from ..evaluation.attribution.results import (
     share_figure,
     write_share_csv,
 )
-from ..evaluation.attribution.shapley import AttributionPlan, Coalition
+from ..evaluation.attribution.shapley import Coalition
 from ..evaluation.report import ReportFigure
 from ..scene.files import whole_file
 from ..simulation.metrics.summary import table_csv
@@ -63,8 +63,8 @@ def drive_attributions(drives: Sequence[AttributedDrive], rows: Mapping[str, Row
             }
             for each in whole
         }
-        plan: AttributionPlan = whole[0].plan
-        found += attributions(dict(zip(columns, subject, strict=True)), intensity, plan, measures, values)
+        named = dict(zip(columns, subject, strict=True))
+        found += attributions(named, intensity, whole[0].factors, measures, values)
     return found
 
 
@@ -95,7 +95,7 @@ def write_attribution(
         }  # fmt: skip
         for present, job in each.jobs.items():
             if (row := rows.get(job.id)) is not None:
-                factors = "+".join(name for name in each.plan.game.factors if name in present)
+                factors = "+".join(name for name in each.factors.names if name in present)
                 measured = {measure.name: row[measure.name] for measure in MEASURES}
                 lines.append(shared | {"factors": factors, "id": job.id, "status": row["status"]} | measured)
     if lines:

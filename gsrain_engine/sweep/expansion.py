@@ -14,7 +14,7 @@ from msgspec import Struct, structs
 
 from ..backends import Backend
 from ..evaluation.attribution.factors import RainFactors, is_attributed
-from ..evaluation.attribution.shapley import AttributionPlan, Coalition
+from ..evaluation.attribution.shapley import Coalition
 from ..evaluation.detection.detector import find_detector
 from ..plugins import AGENTS, DECODERS, SCENE_FORMATS, find_extensions
 from ..rain.calibration import calibration_names
@@ -51,12 +51,7 @@ class _Content(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     @property
     def id(self) -> str:
         """Hash of the content (20 hex digits), equal for equal jobs on every machine."""
-        return hashlib.sha256(msgspec.json.encode(self.identity, order="sorted")).hexdigest()[:20]
-
-    @property
-    def identity(self) -> dict[str, Any]:
-        """Plain values that the id is made of."""
-        return msgspec.to_builtins(self)
+        return hashlib.sha256(msgspec.json.encode(self, order="sorted")).hexdigest()[:20]
 
     def shared(self, kind: str) -> dict[str, Any]:
         """Return values for the parameter columns that jobs of all kinds have."""
@@ -71,16 +66,6 @@ class DriveJob(_Content, frozen=True, kw_only=True, forbid_unknown_fields=True, 
     """The scenario with this job's rain, scene and jittered start."""
     agent: AgentChoice
     variant: Variant = Variant()
-
-    @property
-    def identity(self) -> dict[str, Any]:
-        """Plain values, without those that version 0.1.0 did not have while they have its meaning."""
-        values = super().identity
-        if self.variant == Variant():
-            del values["variant"]
-        if self.agent.hugsim is None:
-            del values["agent"]["hugsim"]
-        return values
 
     @property
     def title(self) -> str:
@@ -191,9 +176,9 @@ class AttributedDrive(NamedTuple):
     """A drive, and the same with parts of its rain."""
 
     drive: DriveJob
-    plan: AttributionPlan
+    factors: RainFactors
     jobs: dict[Coalition, DriveJob]
-    """Jobs of the coalitions that the plan takes for the drive's seed; that of all factors is the drive itself."""
+    """Jobs of the evaluated coalitions; that of all factors is the drive itself."""
 
 
 def attributed_drives(sweep: DriveSweep) -> list[AttributedDrive]:
@@ -209,11 +194,10 @@ def attributed_drives(sweep: DriveSweep) -> list[AttributedDrive]:
         rain = drive.scenario.rain
         if rain.intensity_mm_h > 0:
             factors = RainFactors.of(rain, sweep.attribute, drive.scene, friction=drive.scenario.friction)
-            if not factors.game.factors:
+            if not factors.names:
                 raise ValueError(f"attribute: the rain of {drive.title} has no factors")
-            plan = AttributionPlan.of(factors.game, sweep.attribute_pairs)
-            jobs = {each: _coalition(drive, factors, each, hashes) for each in plan.coalitions(drive.seed)}
-            found.append(AttributedDrive(drive, plan, jobs))
+            jobs = {each: _coalition(drive, factors, each, hashes) for each in factors.evaluated}
+            found.append(AttributedDrive(drive, factors, jobs))
     if not found:
         raise ValueError("attribute: expected an intensity above 0 mm/h")
     return found

@@ -10,7 +10,6 @@ from msgspec import Meta, Struct, structs
 
 from ..backends import Backend
 from ..evaluation.attribution.factors import factor_names, is_attributed
-from ..evaluation.attribution.shapley import MAX_PAIRS
 from ..evaluation.detection.description import description_names
 from ..presets import load_config, shipped_config_names
 from ..rain.calibration import calibration_names
@@ -240,22 +239,11 @@ class DriveSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, 
             f"those of a list, of which it then consists ({', '.join(factor_names())}).",
         ),
     ] = ()
-    attribute_pairs: Annotated[
-        int | None,
-        Meta(
-            title="Pairs of orders",
-            extra={"commands": "sweep", "ge": 0, "le": MAX_PAIRS},
-            description="Pairs of opposite orders of these parts that each seed samples; 0 takes all orders. None: all "
-            "orders, if 64 subsets do.",
-        ),
-    ] = None
     backend: DrawnBy = "auto"
     output: OutputFolder = None
 
     def __post_init__(self) -> None:
         is_attributed(self.attribute)  # raises for an unusable choice
-        if self.attribute_pairs is not None and not 0 <= self.attribute_pairs <= MAX_PAIRS:
-            raise ValueError(f"attribute_pairs must be within 0..{MAX_PAIRS}, got {self.attribute_pairs}")
 
     @property
     def variants(self) -> list[Variant]:

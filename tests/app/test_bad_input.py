@@ -51,7 +51,7 @@ render scene -o a.png --cameras one --camera camera.json | --camera
 render scene -o a.png --cameras one --camera-path p  | --camera-path
 render room.ply -o a.png --sheet 0,5 --rain 8.5      | --rain
 render room.ply -o a.png --sheet 0,5 --mode depth    | --mode
-render room.ply -o a.png --sheet 0,5 --clear-pair    | --clear-pair
+render room.ply -o a.png --sheet 0,5 --clear-pair sunny | --clear-pair
 render room.ply -o a.png --sheet 0,5 --passes depth  | --passes
 render room.ply -o a.jpg --sheet 0,5 --quality 50    | --quality
 render room.ply -o a.mp4 --sheet 0,5                 | a.mp4
@@ -93,7 +93,7 @@ transfer drive -o out --capture drive                | --capture
 transfer town -o holds                               | holds
 transfer town -o out --contact-sheet s.doc           | --contact-sheet s.doc
 recolor town --images drive -o out --held-out 1      | held out
-recolor town --images drive -o out --polish 5        | --photometric-steps needs torch
+recolor town --images drive -o out --photometric-steps 5        | --photometric-steps needs torch
 recolor town --images drive -o out --refine          | --refine needs torch
 sweep sweep.yaml --workers 2 --dask tcp://127.0.0.1:1 | --workers and --dask
 sweep sweep.yaml --dask-resources GPU=1              | --dask ADDRESS
@@ -102,8 +102,7 @@ sweep sweep.yaml --summarize-only                    | no rows
 sweep folderless.yaml                                | --output DIR
 sweep sweep.yaml --attribute=rain                    | --attribute rain: expected all
 sweep sweep.yaml --attribute=mirror                  | --attribute mirror
-sweep sweep.yaml --attribute --attribute-pairs 2000  | --attribute-pairs
-sweep dataset -o out --attribute                     | --attribute: sweep dataset makes clips
+sweep dataset -o out --attribute all                 | --attribute: sweep dataset makes clips
 drive --agent nobody                                 | --agent nobody
 drive --rain "a lot"                                 | --rain a lot
 drive --export csv                                   | --export csv
@@ -140,7 +139,6 @@ evaluate detection boxy --detector x --video v.avi   | --video v.avi
 evaluate detection pictures --detector x --wet       | x
 evaluate detection boxy --detector x --attribute=rain | --attribute rain: expected all
 evaluate detection boxy --detector x --attribute streaks,mirror | --attribute mirror
-evaluate detection boxy --detector x --attribute-pairs 2000 | --attribute-pairs 2000
 evaluate detection boxy --detector x --diameter-scale 1,9 | --diameter-scale
 evaluate detection boxy --detector x --diameter-scale much | --diameter-scale
 serve nothing | nothing

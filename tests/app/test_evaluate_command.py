@@ -83,7 +83,7 @@ def test_options_change_the_rendered_rain(real, reported):
     assert (labelled, none) == (1.5, 0)
     assert plain > clear + 0.02
     assert mean_std("--streak-gain", "4")[1] > plain + 0.05
-    assert mean_std("--light", "display")[1] < plain - 0.01
+    assert mean_std("--blend-space", "display")[1] < plain - 0.01
     assert mean_std("--aperture", "8")[1] < plain - 0.01
     assert mean_std("--seed", "1")[1] != plain
 

@@ -130,7 +130,7 @@ def test_the_rain_is_taken_apart_and_drop_sizes_are_compared(
     project, detector, tmp_path, reported, monkeypatch, capsys
 ):
     out = tmp_path / "out"
-    options = ("--rain", "50", "--seeds", "2", "--frames", "1", "--attribute", "--diameter-scale", "1,2", "-o", out)
+    options = ("--rain", "50", "--seeds", "2", "--frames", "1", "--attribute=all", "--diameter-scale", "1,2", "-o", out)
     asked = counted(monkeypatch)
     report = reported(*words(project, detector, *options))
     assert len(asked) == 1 + 2 + (1 + 2 * 2) + 2  # clear, rainy; no factor, each of two with two seeds; larger drops
@@ -142,7 +142,7 @@ def test_the_rain_is_taken_apart_and_drop_sizes_are_compared(
     assert [each["factor"] for each in confidence["shares"]] == ["streaks", "medium"]
     assert sum(each["mean"] for each in confidence["shares"]) == pytest.approx(scores[50] - scores[0], abs=1e-12)
     assert sum(each["part_of_whole"] for each in confidence["shares"]) == pytest.approx(1)
-    assert (confidence["coalitions"], confidence["order_pairs"], confidence["seeds"]) == (4, 0, [0, 1])
+    assert (confidence["coalitions"], confidence["seeds"]) == (4, [0, 1])
     assert [each["diameter_scale"] for each in report["drop_sizes"]] == [1, 2]
     for name in ("attribution.png", "attribution_steps.png", "drop_sizes.png"):
         assert np.asarray(Image.open(out / name)).shape[1] > 64

@@ -1,4 +1,4 @@
-"""Options: those that scripts and papers rely on, old names, values that none takes, and errors in their names."""
+"""Options: those that scripts and papers rely on, values that none takes, and errors in their names."""
 
 import math
 import re
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import pytest
 from cyclopts import CycloptsError
 
-from app.main import OLD_OPTIONS, app, renamed_options, run
+from app.main import app, run, spelled_out
 from app.options import reject_non_finite
 
 OPTIONS = {
@@ -19,7 +19,7 @@ OPTIONS = {
     "calibrate": "--output -o --plot --json",
     "disdrometer": "--rain --json",
     "reconstruct": "--output -o --images --json",
-    "transfer": "--output -o --method --weights --no-normals --no-cross-view-attention --json",
+    "transfer": "--output -o --method --weights --no-normals --no-cross-view-attention --no-mutual-attention --json",
     "recolor": "--images --output -o --refine --json",
     "train-transfer": "--output -o --clear --rainy",
     "evaluate fid": "--weights --json",
@@ -36,27 +36,19 @@ OPTIONS = {
 }
 
 
-@pytest.mark.parametrize("command", {**OPTIONS, **OLD_OPTIONS})
+@pytest.mark.parametrize("command", OPTIONS)
 def test_a_command_has_the_options_that_are_relied_on(command, capsys):
     assert run([*command.split(), "--help"]) == 0
     listed = set(re.findall(r"(?<![\w-])--?[a-z][a-z-]*", capsys.readouterr().out))
-    assert set(OPTIONS.get(command, "").split()) - listed == set()
-    for pair in OLD_OPTIONS.get(command, "").split():  # of version 0.1: read, and not listed
-        old, new = pair.split("=")
-        assert f"--{new}" in listed and f"--{old}" not in listed
-        has_words = new == "clear-pair"  # tested below
-        for words in ([f"--{old}=x"], *([] if has_words else [[f"--no-{old}"], [f"--{old}", "x"]])):
-            renamed = list(renamed_options([*command.split(), *words]))
-            assert renamed[-len(words) :] == [words[0].replace(old, new), *words[1:]]
-    assert list(renamed_options(["info", "--", "--twin"])) == ["info", "--", "--twin"]
+    assert set(OPTIONS[command].split()) - listed == set()
 
 
-@pytest.mark.parametrize("words", ["--drop-density flux", "--drop-density density", "--closure density"])
-def test_values_of_the_drop_density_have_old_names_too(words):
-    _, bound, _ = app.parse_args(list(renamed_options(["disdrometer", *words.split()])), exit_on_error=False)
+@pytest.mark.parametrize("words", ["--drop-density even", "--drop-density density", "--closure flux"])
+def test_the_drop_density_has_one_name_and_the_words_of_its_help(words):
+    _, bound, _ = app.parse_args(["disdrometer", "--drop-density", "flux"], exit_on_error=False)
     assert bound.arguments["rain"].changes() == {"closure": "density"}
-    with pytest.raises(CycloptsError, match="flux"):
-        app.parse_args(["disdrometer", "--drop-density", "even"], exit_on_error=False, print_error=False)
+    with pytest.raises(CycloptsError, match="flux|--closure"):
+        app.parse_args(["disdrometer", *words.split()], exit_on_error=False, print_error=False)
 
 
 @pytest.mark.parametrize(
@@ -70,20 +62,14 @@ def test_values_of_the_drop_density_have_old_names_too(words):
         ("render -o a.png --size 96x64", {"recording": {"output": "a.png", "size_px": (96, 64)}}),
         ("train-transfer tiny -o a --clear b --clear c", {"images": {"clear": [{"path": "b"}, {"path": "c"}]}}),
         ("evaluate lidar -o a --range-10 50", {"detection": {"range_m": 50.0}}),
-        ("render -o a.png --haze", {"rain": {"haze": "medium"}}),
-        ("render -o a.png --clear-pair", {"recording": {"output": "a.png", "twin": "sunny"}}),
-        ("render --twin -o a.png", {"recording": {"output": "a.png", "twin": "sunny"}}),
         ("render -o a.png --clear-pair overcast", {"recording": {"output": "a.png", "twin": "overcast"}}),
-        ("render -o a.png --twin=overcast", {"recording": {"output": "a.png", "twin": "overcast"}}),
-        ("render -o a.png --no-clear-pair", {"recording": {"output": "a.png", "twin": "none"}}),
-        ("render --haze -o a.png", {"rain": {"haze": "medium"}}),
         ("render -o a.png --haze gaussians", {"rain": {"haze": "gaussians"}}),
         ("render -o a.png --haze=none", {"rain": {"haze": "none"}}),
         ("render -o a.png --no-haze --no-streaks", {"rain": {"haze": "none", "streaks": False}}),
     ],
 )
 def test_options_set_fields(line, changes):
-    _, bound, _ = app.parse_args(list(renamed_options(line.split())), exit_on_error=False, print_error=False)
+    _, bound, _ = app.parse_args(spelled_out(line.split()), exit_on_error=False, print_error=False)
     assert {name: bound.arguments[name].changes() for name in changes} == changes
 
 
@@ -107,18 +93,16 @@ def test_no_option_takes_nan_however_deep_it_stands():
 @pytest.mark.parametrize(
     ("words", "attribute"),
     [
-        ("--attribute", ["all"]),
-        ("--attribute -o a", ["all"]),
+        ("--attribute all", ["all"]),
         ("--attribute streaks,glass", ["streaks", "glass"]),
         ("--attribute=wet", ["wet"]),
-        ("--no-attribute", ["none"]),
     ],
 )
-def test_factors_may_follow_attribute(words, attribute):
-    _, bound, _ = app.parse_args(list(renamed_options(f"sweep tiny {words}".split())), exit_on_error=False)
+def test_attribute_takes_factors(words, attribute):
+    _, bound, _ = app.parse_args(["sweep", "tiny", *words.split()], exit_on_error=False)
     assert bound.arguments["options"].changes()["attribute"] == attribute
     line = ["evaluate", "detection", "--detector", "a.onnx", *words.split(), "street"]
-    _, bound, _ = app.parse_args(list(renamed_options(line)), exit_on_error=False)
+    _, bound, _ = app.parse_args(line, exit_on_error=False)
     assert bound.arguments["attribute"].split(",") == attribute and bound.arguments["source"] == "street"
 
 

@@ -161,12 +161,15 @@ def test_camera_and_depth_are_in_the_scene_s_own_axes(wall, tmp_path):
     options = ("--camera", tmp_path / "camera.json", "--depth")
     assert np.load(render(wall, tmp_path / "view.npy", *options)).shape == (48, 64, 4)
     assert np.load(tmp_path / "view.depth.npy")[24, 32] == pytest.approx(6.0, abs=0.1)
-    render(wall, tmp_path / "view.npy", *options, "--metres-per-unit", "2", "--up", "-y")
+    render(wall, tmp_path / "view.npy", *options, "--meters-per-unit", "2", "--up", "-y")
     assert np.load(tmp_path / "view.depth.npy")[24, 32] == pytest.approx(12.0, abs=0.2)
 
 
 def test_cameras_passes_and_twin(project, tmp_path, capsys):
-    out, options = tmp_path / "rig", ("--cameras", "one", "--passes", "color,labels", "--twin", "--to", "0.1")
+    out, options = (
+        tmp_path / "rig",
+        ("--cameras", "one", "--passes", "color,labels", "--clear-pair=sunny", "--to", "0.1"),
+    )
     render(project, out, *options, "--codec", "exr")
     assert f"{out} and {tmp_path / 'rig.clear'}: 3 of 3 frames" in capsys.readouterr().out
     names = {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*.*") if path.is_file()}
@@ -286,7 +289,7 @@ def test_a_scene_gets_as_wet_as_it_rains_or_as_wet_as_asked(tmp_path):
 
 def test_a_sensor_by_name_and_by_file(project, wall, tmp_path, capsys):
     """Twins have the same noise; a sensor that is not there, or is wrong, costs one line."""
-    render(project, tmp_path / "seen", "--sensor", "automotive", "--clear-pair", "--rain", "0", "--to", "0.1")
+    render(project, tmp_path / "seen", "--sensor", "automotive", "--clear-pair", "sunny", "--rain", "0", "--to", "0.1")
     seen, twin, plain = (
         [file.read_bytes() for file in sorted((tmp_path / name).iterdir())]
         for name in ("seen", "seen.clear", render(project, tmp_path / "plain", "--rain", "0", "--to", "0.1").name)

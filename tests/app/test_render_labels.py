@@ -26,7 +26,7 @@ def render(project, out, *options):
 
 def test_coco_labels_are_one_file_with_boxes_masks_and_depth(project, tmp_path, capsys):
     out = tmp_path / "frames"
-    assert render(project, out, "--rain", "12", "--twin", "--labels", "coco") == 0
+    assert render(project, out, "--rain", "12", "--clear-pair", "sunny", "--labels", "coco") == 0
     assert str(out / "labels.coco.json") in capsys.readouterr().out
     document = json.loads((out / "labels.coco.json").read_text())
     assert [each["file_name"] for each in document["images"]] == ["000000.png", "000001.png"]

@@ -76,7 +76,7 @@ def test_info_and_convert_of_marked_gaussians(marked, tmp_path, reported, capsys
 
 def test_convert_sets_axis_and_unit(room, tmp_path):
     before = read_scene(room).layers[0].gaussians.means
-    options = ["--up", "z", "--metres-per-unit", "2.5"]
+    options = ["--up", "z", "--meters-per-unit", "2.5"]
     assert run(["convert", str(room), str(tmp_path / "folder"), *options]) == 0
     scene = read_scene(tmp_path / "folder")
     assert (scene.up, scene.metres_per_unit) == ((0.0, 0.0, 1.0), 2.5)

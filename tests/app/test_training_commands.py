@@ -65,7 +65,7 @@ def test_pictures_of_different_sizes_go_all_the_way(files, tmp_path, reported):
     views = cut_rows(open_capture(files / "capture"))
     list(write_views(tmp_path / "photos", views))
     rainy, photos = str(tmp_path / "rainy"), str(tmp_path / "photos")
-    assert run(["transfer", photos, "-o", rainy, "--sheet", str(tmp_path / "sheet.png")]) == 0
+    assert run(["transfer", photos, "-o", rainy, "--contact-sheet", str(tmp_path / "sheet.png")]) == 0
     assert [view.camera.height for view in open_capture(rainy)] == [view.camera.height for view in views]
     options = ("--images", rainy, "-o", tmp_path / "wet", "--iterations", "2", "--held-out", "5")
     assert reported("recolor", files / "clear", *options)["views"] == len(views) - 1

@@ -28,7 +28,7 @@ def files(tmp_path_factory) -> Path:
 
 def test_the_street_becomes_rainy_and_its_colors_follow(files, tmp_path, reported, capsys):
     rainy, sheet = tmp_path / "rainy", tmp_path / "sheet.png"
-    command = ("transfer", files / "scene", "-o", rainy, "--count", "3", "--width", "64", "--sheet", sheet)
+    command = ("transfer", files / "scene", "-o", rainy, "--count", "3", "--width", "64", "--contact-sheet", sheet)
     numbers = reported(*command)
     assert f"{rainy}: 3 rainy views of small street" in capsys.readouterr().out
     assert (numbers["method"], numbers["views"]) == ("wet", 3)

@@ -75,7 +75,7 @@ def test_a_change_of_a_keyed_field_is_a_key_at_the_present_time(editor):
     editor.playback.clock.time_s = 4.0
     editor.document.change_rain("Intensity", "drag", intensity_mm_h=7.0)
     editor.playback.clock.time_s = 4.5  # time goes on while the mouse is held
-    editor.document.change_rain("Intensity", "drag", intensity_mm_h=8.0, haze=False)
+    editor.document.change_rain("Intensity", "drag", intensity_mm_h=8.0, haze="none")
     editor.document.end_gesture()
     assert key_times() == [0.0, 4.0, 10.0]
     assert editor.document.keyframes.key_at(4.0).intensity_mm_h == 8.0

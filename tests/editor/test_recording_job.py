@@ -167,7 +167,7 @@ def test_copied_recordings_make_the_same_frames(editor, tmp_path):
     editor.document.change_rain("Intensity", intensity_mm_h=5.0)
     editor.camera_path.add_keyframe(0.0)
     editor.camera_path.add_keyframe(0.2)
-    editor.render_queue.change(codec="png", size_px=(48, 32), fps=10.0, last_s=0.2, supersampling=2, twin=True)
+    editor.render_queue.change(codec="png", size_px=(48, 32), fps=10.0, last_s=0.2, supersampling=2, twin="sunny")
     command, program = editor.render_queue.command, editor.render_queue.program
     editor.render_queue.record_to(tmp_path / "job")
     editor.jobs.all[-1].wait(120)

@@ -45,7 +45,7 @@ def rendered(noise=1.0, **rain):
     """Gray frames of rain in front of gray 45."""
     camera, shape = narrow_camera(), (240, 400)
     background, noises = np.full(shape, 45, np.uint8), np.full(shape, noise, np.float32)
-    rainfall = RainSimulation.start(RainSettings(haze=False, sensor="pinhole", **rain))
+    rainfall = RainSimulation.start(RainSettings(haze="none", sensor="pinhole", **rain))
     return np.stack(list(render_rain_frames(background, noises, camera, rainfall, [0.1 * k for k in range(9)], SKY)))
 
 

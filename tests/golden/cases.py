@@ -86,7 +86,7 @@ def conversions() -> Chain:
     """Return one export of each format that can be written, and stills of one."""
     targets = {
         "crossing.ply": "", "crossing.splat": "", "crossing.spz": "", "wet.ply": "--wetness 1", "copy": "",
-        "leveled": "--level --metres-per-unit 2", "turned": "--up -y",
+        "leveled": "--level --meters-per-unit 2", "turned": "--up -y",
     }  # fmt: skip
     exports = tuple(
         Case(
@@ -106,7 +106,7 @@ def conversions() -> Chain:
 def looks() -> Chain:
     """Return what is shown instead of the picture, by both back ends."""
     return tuple(
-        still(f"look/{look}.{backend}", f"{CROSSING} --look {look} --backend {backend} --size 96x64")
+        still(f"look/{look}.{backend}", f"{CROSSING} --mode {look} --backend {backend} --size 96x64")
         for look in LOOKS
         for backend in BACKENDS
     )
@@ -117,7 +117,7 @@ def recordings() -> Chain:
     small = f"render {CROSSING} --size 64x48 --backend cpu"
     rig = f"render {CROSSING} --backend cpu --cameras"
     front = f"{rig} pair/FRONT --to 0.1 -o"
-    passes = "--passes color,depth,alpha,labels --twin --motion-blur 2 --supersampling 2 --fps 4 --to 0.5"
+    passes = "--passes color,depth,alpha,labels --clear-pair sunny --motion-blur 2 --supersampling 2 --fps 4 --to 0.5"
     preset = f"render {CROSSING} --backend cpu --preset saved/settings/preset.yaml --camera saved/camera.json"
     frames = "pixels frames*/**/*.png", "numbers frames*/**/*.json", "numbers numbers.json"
     return (

@@ -45,7 +45,7 @@ def test_load_takes_the_axis_and_the_unit(tmp_path, scene):
 def test_rain_has_short_names_and_all_fields(rain):
     assert rain == gr.RainSettings(intensity_mm_h=8.5, wind_m_s=(2, 0), seed=1)
     assert isinstance(rain, gr.Rain) and isinstance(rain, gr.RainSettings) and not isinstance(8.5, gr.Rain)
-    assert gr.Rain(5, haze=False, wetness=1.0) == gr.RainSettings(intensity_mm_h=5, haze=False, wetness=1.0)
+    assert gr.Rain(5, haze="none", wetness=1.0) == gr.RainSettings(intensity_mm_h=5, haze="none", wetness=1.0)
     assert gr.Rain.preset("paper").exposure_s == 0.05
 
 
@@ -152,7 +152,7 @@ def test_paths_of_a_scene(tmp_path, scene):
 def test_frames_are_those_of_the_video(tmp_path, scene, rain):
     path = gr.CameraPath.orbit(scene, seconds=1)
     steps = []
-    folder = gr.render_video(scene, rain, path, tmp_path / "frames", size=SIZE, fps=4, clear_pair=True,
+    folder = gr.render_video(scene, rain, path, tmp_path / "frames", size=SIZE, fps=4, clear_pair="sunny",
                              progress=steps.append, backend="cpu")  # fmt: skip
     frames = list(gr.frames(scene, rain, path, size=SIZE, fps=4, depth=True, backend="cpu"))
     written = [np.asarray(Image.open(each)) for each in sorted(folder.glob("*.png"))]

@@ -6,10 +6,10 @@ import pytest
 
 from gsrain_engine.evaluation.lidar.sensor import SENSORS
 from gsrain_engine.rain.frame import RainCamera, SkyLight
+from gsrain_engine.rain.keyframes import rain_of
 from gsrain_engine.rain.settings import HAZE_REGION, RainSettings, RegionBox, load_preset
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.render.cpu.renderer import CpuRenderer
-from gsrain_engine.safe_io.errors import convert_checked
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
@@ -193,14 +193,6 @@ def test_an_object_has_no_edge_of_fog_from_any_side():
 # Settings
 
 
-@pytest.mark.parametrize(("text", "haze"), [("true", "medium"), ("false", "none"), ("gaussians", "gaussians")])
-def test_files_with_haze_on_or_off_are_read(tmp_path, text, haze):
-    (tmp_path / "rain.yaml").write_text(f"intensity_mm_h: 5\nhaze: {text}\n")
-    rain = load_preset(str(tmp_path / "rain.yaml"))
-    assert rain.haze == haze
-    assert msgspec.yaml.decode(msgspec.yaml.encode(rain), type=RainSettings) == rain
-
-
 def test_haze_is_a_medium_everywhere_but_the_paper_s_is_of_gaussians():
     rain, paper = RainSettings(intensity_mm_h=8.5), load_preset("paper")
     assert (rain.haze, rain.haze_region, rain.haze_box) == ("medium", None, HAZE_REGION)
@@ -218,6 +210,6 @@ def test_a_saved_haze_box_remains_the_region(tmp_path):
     box = {"minimum_m": (-10.0, -10.0, -1.5), "maximum_m": (60.0, 10.0, 20.5)}
     saved = {"intensity_mm_h": 8.5, "haze": True, "haze_region": box}
     write_scene(Scene("one", (Layer("wall", wall(9.0, (0.2, 0.2, 0.2)).gaussians),), rain=saved), tmp_path / "one")
-    rain = convert_checked(read_scene(tmp_path / "one").rain, RainSettings)
+    rain = rain_of(read_scene(tmp_path / "one"))
     assert (rain.haze, rain.haze_region) == ("medium", RegionBox(**box))
     assert frame_of(**msgspec.structs.asdict(rain)).medium.has_region

@@ -132,7 +132,7 @@ def test_a_drop_is_exposed_when_the_readout_meets_it(renderer):
 
 def test_no_drop_whose_blur_reaches_the_picture_is_left_out(renderer):
     """The search looks at drops as far beside the picture as a circle of confusion is wide."""
-    lens = {"aperture_mm": 50.0, "focus_distance_m": 0.3, "exposure_s": 5e-4, "haze": False}
+    lens = {"aperture_mm": 50.0, "focus_distance_m": 0.3, "exposure_s": 5e-4, "haze": "none"}
     camera = eye_at((0.0, 0, 1.5), 32, 24, 60.0)
     anchor = np.eye(4)
     anchor[:3, 3] = 0.0, 0.0, 1.5

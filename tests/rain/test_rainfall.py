@@ -47,14 +47,14 @@ def test_paper_preset_has_exactly_its_drops_in_the_region():
 
 def test_cameras_of_a_rig_see_the_same_drops():
     """Two cameras on one anchor: streaks that both draw stand at the same places."""
-    rainfall = RainSimulation.start(msgspec.structs.replace(load_preset("8.5"), haze=False))
+    rainfall = RainSimulation.start(msgspec.structs.replace(load_preset("8.5"), haze="none"))
     left, right = (rainfall.frame(2.0, view((0.0, y, 1.5), anchor_at=(0.0, 0, 1.5))) for y in (0.05, -0.05))
     places = [{tuple(np.round(p, 4)) for p in gaussians_of(each).means} for each in (left, right)]
     assert len(places[0] & places[1]) > 0.5 * len(places[0])
 
 
 def test_reduced_preview_keeps_the_same_drops():
-    rainfall = RainSimulation.start(msgspec.structs.replace(load_preset("8.5"), haze=False))
+    rainfall = RainSimulation.start(msgspec.structs.replace(load_preset("8.5"), haze="none"))
     full = view()
     half = RainCamera(full.camera.resized(480, 320), full.anchor_to_world, full.velocity_m_s, focal_px=full.camera.fx)
     a, b = rainfall.frame(1.0, full), rainfall.frame(1.0, half)

@@ -121,7 +121,7 @@ def test_keys_of_one_intensity_are_constant_rain(keys):
 
 
 def test_a_keyed_exposure_lengthens_streaks():
-    rain = RainSettings(intensity_mm_h=8.5, haze=False, streak_region=SMALL, **STILL)
+    rain = RainSettings(intensity_mm_h=8.5, haze="none", streak_region=SMALL, **STILL)
     exposures = RainKeyframes(
         keys=(RainKeyframe(time_s=0.0, exposure_s=0.002), RainKeyframe(time_s=10.0, exposure_s=0.02))
     )
@@ -138,7 +138,7 @@ def test_changing_the_weather_moves_no_drop():
         expected = displacement(rainfall.frozen_at(12.0).motion, 12.0)
         assert np.allclose(displacement(following.frozen_at(12.0).motion, 12.0), expected, atol=1e-9)
         rainfall = following
-    unmoved = rainfall.changed(msgspec.structs.replace(rainfall.rain, haze=False), 15.0)
+    unmoved = rainfall.changed(msgspec.structs.replace(rainfall.rain, haze="none"), 15.0)
     assert unmoved.frozen_at(15.0).rain.haze == "none"
     assert np.array_equal(unmoved.frozen_at(20.0).motion.fallen(20.0), rainfall.frozen_at(20.0).motion.fallen(20.0))
 

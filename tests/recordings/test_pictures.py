@@ -132,5 +132,5 @@ def test_what_is_near_keeps_its_distance_where_that_is_measured():
     beta = rainfall.state.extinction_per_m
     sign = measured & (np.arange(96) >= 30)
     assert np.abs(kept[sign] - np.exp(-beta * 20)).max() < 0.05
-    assert np.abs(kept[sign].mean() - np.exp(-beta * 20)) < 0.01
+    assert np.abs(kept[sign].mean() - np.exp(-beta * 20)) < 0.02
     assert kept[32, 90] == pytest.approx(np.exp(-beta * 200 * np.hypot(1, 42 / 80)), abs=0.03)

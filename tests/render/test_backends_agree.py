@@ -94,8 +94,8 @@ def frame_at(request, open_kind, drawn_frames):
 LIGHTS = [
     {"rain_light": "linear", "exposure_s": 0.003},
     {"rain_light": "display", "exposure_s": 0.05},
-    {"rain_light": "linear", "exposure_s": 0.05, "haze": False},
-    {"rain_light": "display", "exposure_s": 0.003, "haze": False},
+    {"rain_light": "linear", "exposure_s": 0.05, "haze": "none"},
+    {"rain_light": "display", "exposure_s": 0.003, "haze": "none"},
     {"rain_light": "linear", "exposure_s": 0.003, "haze": "gaussians"},
     {"intensity_mm_h": 0.0, "visibility_m": 40.0},
     {"intensity_mm_h": 80.0, "visibility_m": 40.0, "rain_light": "display"},

@@ -194,7 +194,7 @@ def test_back_ends_add_the_same_noise(any_renderer, sensor_file):
 def test_exported_files_of_a_twin(tmp_path, sensor_file):
     """Frames and their rain-free twins at 0 mm/h are the same files."""
     rain = RainSettings(sensor=sensor_file(jpeg_quality=80, **NOISE))
-    export = ExportSettings(output=str(tmp_path / "clip"), twin=True, size_px=(96, 64), last_s=0.2, fps=10.0)
+    export = ExportSettings(output=str(tmp_path / "clip"), twin="sunny", size_px=(96, 64), last_s=0.2, fps=10.0)
     rainfall = RainSimulation.start(rain)
     sequences = export_sequences(export, small_scene(), rainfall, front(96, 64), in_scene_time=True)
     assert list(export_frames(CpuRenderer(), export, sequences, frame_numbers(export, sequences)))

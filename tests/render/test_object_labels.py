@@ -89,7 +89,9 @@ def test_what_is_hidden_by_a_person_is_not_there():
 
 def test_labels_are_written_as_coco_and_kitti(tmp_path):
     scene = boxy_scene()
-    recording = ExportSettings(output=str(tmp_path / "run"), size_px=(288, 192), passes=("color", "depth"), twin=True)
+    recording = ExportSettings(
+        output=str(tmp_path / "run"), size_px=(288, 192), passes=("color", "depth"), twin="sunny"
+    )
     sequences = export_sequences(
         recording, scene, RainSimulation.start(RainSettings()), camera_of(scene), in_scene_time=True
     )

@@ -154,7 +154,7 @@ def test_passes_are_the_same_in_every_format_and_depth_is_one_sample_a_pixel(sce
 def test_the_twin_is_the_clip_at_0_mm_h(scene, rainfall, path, tmp_path):
     fields = {"size_px": SIZE, "fps": 10.0, "last_s": 0.3}
     passes = ("color", "depth")
-    recorded(ExportSettings(output=str(tmp_path / "a"), twin=True, passes=passes, **fields), scene, rainfall, path)
+    recorded(ExportSettings(output=str(tmp_path / "a"), twin="sunny", passes=passes, **fields), scene, rainfall, path)
     dry = RainSimulation.start(msgspec.structs.replace(rainfall.rain, intensity_mm_h=0.0))
     recorded(ExportSettings(output=str(tmp_path / "b"), **fields), scene, dry, path)
     assert [each.name for each in sorted((tmp_path / "a.clear").iterdir())] == [f"00000{k}.png" for k in range(3)]

@@ -48,15 +48,15 @@ def test_what_contradicts_itself_is_refused(words, fields):
     ("fields", "cameras", "expected"),
     [
         ({"output": "a.mp4"}, [""], ["a.mp4"]),
-        ({"output": "a.mp4", "twin": True}, [""], ["a.mp4", "a.clear.mp4"]),
+        ({"output": "a.mp4", "twin": "sunny"}, [""], ["a.mp4", "a.clear.mp4"]),
         ({"output": "a.mp4", "passes": ("color", "depth")}, [""], ["a.mp4", "a.depth"]),
-        ({"output": "a.mp4", "passes": ("labels",), "twin": True}, [""], ["a.labels"]),
+        ({"output": "a.mp4", "passes": ("labels",), "twin": "sunny"}, [""], ["a.labels"]),
         ({"output": "a.png", "passes": ("color", "alpha", "labels")}, [""], ["a.png", "a.alpha.png", "a.labels.png"]),
         ({"output": "a.npy", "passes": ("color", "depth")}, [""], ["a.npy", "a.depth.npy"]),
         ({"output": "a.exr", "passes": ("color", "depth", "labels")}, [""], ["a.exr", "a.labels.png"]),
         ({"output": "a", "passes": ("color", "depth")}, [""], ["a"]),
         ({"output": "a.mp4"}, ["FRONT", "REAR"], ["a/FRONT.mp4", "a/REAR.mp4"]),
-        ({"output": "a", "codec": "av1", "twin": True}, ["L/R", "B"],
+        ({"output": "a", "codec": "av1", "twin": "sunny"}, ["L/R", "B"],
          ["a/L_R.webm", "a/L_R.clear.webm", "a/B.webm", "a/B.clear.webm"]),
         ({"output": "a"}, ["FRONT", "REAR"], ["a/FRONT", "a/REAR"]),
     ],
@@ -66,7 +66,7 @@ def test_files_are_called(fields, cameras, expected):
 
 
 def test_long_names_of_cameras_are_shortened_and_stay_apart():
-    paths = export_outputs(ExportSettings(output="a", codec="jpeg", twin=True), ["F" * 300, "F" * 301])
+    paths = export_outputs(ExportSettings(output="a", codec="jpeg", twin="sunny"), ["F" * 300, "F" * 301])
     assert len(set(paths)) == 4
     assert all(len(path.name) < 200 for path in paths)
 
@@ -90,7 +90,7 @@ def test_passes_are_stored_next_to_their_frames(fields, color, depth, legend):
     [
         {"output": "a b.mp4"},
         {"output": "frames", "size_px": (640, 360), "fps": 23.976, "first_s": -0.1, "last_s": 1.1, "codec": "exr"},
-        {"output": "a.webm", "codec": "av1", "quality": 40, "supersampling": 2, "motion_blur": 8, "twin": True},
+        {"output": "a.webm", "codec": "av1", "quality": 40, "supersampling": 2, "motion_blur": 8, "twin": "sunny"},
         {"output": "rig.mp4", "cameras": ("one/FRONT", "two"), "passes": ("color", "labels")},
     ],
 )

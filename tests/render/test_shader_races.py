@@ -205,7 +205,7 @@ def scene(count, harmonics):
 
 def drops_of(**changes):
     """A shower of few drops, many of which the camera may see."""
-    rain = msgspec.structs.replace(load_preset("8.5"), seed=3, max_copies=2, haze=False, **changes)
+    rain = msgspec.structs.replace(load_preset("8.5"), seed=3, max_copies=2, haze="none", **changes)
     field = RainSimulation.start(rain).frame(12.3, RainCamera(CAMERA, ANCHOR, np.zeros(3)))
     culling = field.culling._replace(class_far_m=np.full(CLASSES, 30.0), slopes=np.array([-2.0, 2.0, -2.0, 2.0]))
     where = field.where

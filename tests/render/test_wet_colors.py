@@ -77,7 +77,7 @@ def test_the_slider_moves_the_appearance_but_the_clear_side_is_dry(context, edit
     assert soaked.mean() < clear.mean() - 10
     rain_at(editor, 0.0, wetness=0.5)
     assert clear.mean() > picture(editor, view).mean() > soaked.mean()
-    rain_at(editor, 12.0, streaks=False, haze=False)
+    rain_at(editor, 12.0, streaks=False, haze="none")
     assert soaked.mean() <= picture(editor, view).mean() < soaked.mean() + 5
     exact = sky_color(SplatRenderer(context), editor.document.scene, editor.viewport.shot(*SIZE).camera)
     assert exact.wet_light is not None
@@ -94,7 +94,7 @@ def test_the_slider_moves_the_appearance_but_the_clear_side_is_dry(context, edit
 
 
 def test_finished_wet_colors_are_one_step_and_come_in_slices(editor, slow_view):
-    rain_at(editor, 12.0, streaks=False, haze=False)
+    rain_at(editor, 12.0, streaks=False, haze="none")
     view = slow_view
     clear, before = picture(editor, view), editor.document.scene
     editor.viewport.staged = PendingScene("Make it rainy", darker(editor.document.scene), change=with_wet_colors_of)

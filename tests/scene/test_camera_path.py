@@ -250,7 +250,7 @@ def same_view(a: Camera, b: Camera) -> None:
 def test_our_own_file_comes_back(changes: dict[str, Any], tmp_path: Path) -> None:
     file, path = tmp_path / "path.json", path_of(4, **changes)
     write_camera_path(file, path)
-    assert json.loads(file.read_text())["version"] == (2 if changes else 1)  # older programs can read version 1
+    assert json.loads(file.read_text())["version"] == 3
     found = read_camera_path(file)
     assert (found.interpolation, found.easing, found.loop) == (path.interpolation, path.easing, path.loop)
     for t in np.linspace(path.start_s, path.end_s, 5).tolist():

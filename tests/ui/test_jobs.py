@@ -21,7 +21,7 @@ from ui.commands.keys import chord
 from ui.panels import jobs as jobs_panels
 from window_driver import imgui
 
-PANEL = "//Make it rainy/"
+PANEL = "//Wet look/"
 UNDO = chord(imgui.Key.mod_ctrl, imgui.Key.z)
 
 

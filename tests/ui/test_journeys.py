@@ -313,7 +313,7 @@ def begin(driver):
     editor.preferences.value = replace(editor.preferences.value, theme="dark")
     driver.window.workspace.folded.open = ""
     if not driver.window.workspace.folded.hidden:
-        for name in ("Layers", "Edit", "Rain", "Read-out", "Timeline"):
+        for name in ("Layers", "Edit", "Rain", "Rain properties", "Timeline"):
             driver.ctx.window_focus(f"//{name}")
     driver.ctx.window_focus("//View")
     driver.frames(3)

@@ -27,7 +27,7 @@ def test_in_a_small_window_panels_fold_to_names_and_one_opens_over_the_view(driv
 
     folded, editor = driver.window.workspace.folded, driver.editor
     before = sizes()
-    names = ["Layers", "Rain", "Wet look###Make it rainy", "Timeline", "Log"]
+    names = ["Layers", "Rain", "Wet look", "Timeline", "Log"]
     assert [each for each in folded.hidden if each in names] == names and folded.open == ""
     _, size = driver.area()
     assert size[0] > 0.75 * 800 * dpi_scale and size[1] > 0.65 * 560 * dpi_scale  # px

@@ -156,7 +156,7 @@ def test_keys_are_dragged_added_and_removed_in_the_plot(driver, pixel_of):
         return key.time_s, key.intensity_mm_h
 
     document.edit_keyframes("Hill", replace_keyframes, hill)
-    driver.ctx.window_focus("//Shower")
+    driver.ctx.window_focus("//Rain keyframes")
     driver.frames(4)
     driver.stroke(pixel_of(10.0, 8.0), *(pixel_of(11.0, rate) for rate in (8.5, 9.5, 11.0)))
     assert place(document.keyframes.keys[1]) == pytest.approx((11.0, 11.0), abs=0.3)
@@ -229,7 +229,7 @@ def test_haze_has_a_form_and_maybe_a_region(driver):
     driver.ctx.combo_click("##haze/gaussians")
     driver.frames()
     assert document.rain.haze == "gaussians" and command.is_on(document)
-    driver.ctx.window_focus("//Read-out")
+    driver.ctx.window_focus("//Rain properties")
     driver.until(lambda: editor.viewport.statistics["haze Gaussians"] > 0)
     command.run(document)
     assert document.rain.haze == "none" and not command.is_on(document)

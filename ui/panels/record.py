@@ -312,7 +312,7 @@ def _passes(render_queue: RenderQueue) -> None:
         if name in ("color", "depth"):
             imgui.same_line()
     info = field_of(ExportSettings, "twin")
-    titles = {False: "none", "sunny": "sunny", "overcast": "overcast"}
+    titles = {None: "none", "sunny": "sunny", "overcast": "overcast"}
     plain_label(info.title, info.help)
     if (twin := combo("##twin", settings.twin, titles)) != settings.twin:
         render_queue.change(twin=twin)

@@ -37,16 +37,10 @@ class Panel:
     side: DockSide
     draw: Callable[..., None]
     """Draws it; gets the editor's parts that its parameters name."""
-    id: str = ""
-    """Identity of its window in saved layouts if the title is not: a former title."""
     help: str = ""
     """Its contents in one sentence, which docs/guide/panels.md has, too."""
     page: str = ""
     """Page with more about it, relative to that one."""
-
-    @property
-    def window_name(self) -> str:
-        return f"{self.title}###{self.id}" if self.id else self.title
 
 
 # Table of panels
@@ -64,7 +58,7 @@ BUILT_IN_PANELS = (
           help="By attribute (opacity, size, height, ...) and by color; grow, shrink, invert, selection sets."),
     Panel("Rain", "right", rain_panel, page="rain.md",
           help="Intensity, exposure, regions, wind, drop color, wetness."),
-    Panel("Wet look", "right", wet_look_panel, "Make it rainy", page="wet_colors.md",
+    Panel("Wet look", "right", wet_look_panel, page="wet_colors.md",
           help="Wet colors of the scene, and fine-tuning of the diffusion model that can make them."),
     Panel("Drive", "right", drive_panel, page="../driving.md",
           help="A scenario driven by an agent; roll-outs side by side."),
@@ -74,17 +68,17 @@ BUILT_IN_PANELS = (
           help="A flythrough as video, frames, depth, labels; an image, or a sheet of intensities."),
     Panel("Display", "right", display_panel, page="looking_around.md",
           help="Rendering quality and speed; theme, text size."),
-    Panel("Rain properties", "right bottom", rain_properties_panel, "Read-out", page="../physics.md",
+    Panel("Rain properties", "right bottom", rain_properties_panel, page="../physics.md",
           help="Quantities that follow from the intensity."),
     Panel("Disdrometer", "right bottom", disdrometer_panel, page="rain.md",
           help="Counts the simulated drops."),
     Panel("Calibration", "right bottom", calibration_panel, page="calibration.md",
           help="The calibration of the rain, compared with another one."),
-    Panel("Camera rig", "right bottom", camera_mosaic_panel, "Rig cameras", page="../driving.md",
+    Panel("Camera rig", "right bottom", camera_mosaic_panel, page="../driving.md",
           help="The images of the vehicle's cameras."),
     Panel("Timeline", "bottom", timeline_panel, page="timeline_and_recording.md",
           help="Keyframes of the camera and of every field with a diamond."),
-    Panel("Rain keyframes", "bottom", rain_keyframes_panel, "Shower", page="rain.md",
+    Panel("Rain keyframes", "bottom", rain_keyframes_panel, page="rain.md",
           help="Intensity over time."),
     Panel("Drive plots", "bottom", drive_plots, page="../driving.md",
           help="Speed, acceleration, time to collision and gap of all roll-outs; a click goes to that time."),

@@ -124,7 +124,7 @@ RANDOM_BASE = "random_base_seed"
 
 
 def read_record(path: Path) -> TrainingRecord | None:
-    """Read the record of the training from the header of a file of ours; None for other files and older ones.
+    """Read the record of the training from the header of a file of ours; None for other files.
 
     Raises ValueError for a damaged record.
     """

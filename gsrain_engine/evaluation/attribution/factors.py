@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
 from msgspec import structs
@@ -9,7 +10,7 @@ from msgspec import structs
 from ...rain.settings import RainSettings
 from ...rain.wetness import OVERCAST_MM_H, wetness
 from ...scene.open import is_built_in_street
-from .shapley import Coalition, Game
+from .shapley import Coalition, coalitions_of
 
 Friction = Literal["dry", "wet"]
 """Friction of a drive, as in `simulation.friction`."""
@@ -28,8 +29,6 @@ class Factor:
     belongs to the drive."""
     on: Mapping[str, Any] = field(default_factory=dict[str, Any])
     """Settings that switch it on in a rain that lacks it."""
-    after: str | None = None
-    """Factor that it acts on top of; in a rain without that one, on top of what that one does."""
 
     def __post_init__(self) -> None:
         if unknown := {*self.off, *self.on} - set(RainSettings.__struct_fields__):
@@ -45,10 +44,10 @@ FACTORS = (
     Factor("streaks", "streaks", {"streak_gain": 0.0}, {"streaks": True, "streak_gain": 1.0}),
     Factor("medium", "medium", {"haze": "none", "visibility_m": None}, {"haze": "medium"}),
     Factor(LIGHT, "overcast light"),
-    Factor(WET, "wet look", {"wetness": 0.0}, {"wetness": None}, after=LIGHT),
-    Factor("mirror", "mirror", {"mirror": False}, {"mirror": True}, after=WET),
-    Factor("splashes", "splashes and rings", {"splashes": False}, {"splashes": True}, after="mirror"),
-    Factor("spray", "spray", {"spray": False}, {"spray": True}, after="splashes"),  # of wet ground, too
+    Factor(WET, "wet look", {"wetness": 0.0}, {"wetness": None}),
+    Factor("mirror", "mirror", {"mirror": False}, {"mirror": True}),
+    Factor("splashes", "splashes and rings", {"splashes": False}, {"splashes": True}),
+    Factor("spray", "spray", {"spray": False}, {"spray": True}),
     Factor("glass", "glass", {"glass": "none"}, {"glass": "windshield"}),
     Factor(FRICTION, "wet friction"),
 )
@@ -56,14 +55,7 @@ FACTORS = (
 
 _BY_NAME = {each.name: each for each in FACTORS}
 
-
-def _below(name: str) -> list[str]:
-    """Factors that a factor acts on top of, the nearest first."""
-    after = _BY_NAME[name].after
-    return [] if after is None else [after, *_below(after)]
-
-
-ON_WET_GROUND = frozenset({LIGHT, WET, *(name for name in _BY_NAME if WET in _below(name))})
+ON_WET_GROUND = frozenset({LIGHT, WET, "mirror", "splashes", "spray"})
 """Factors that need a wet scene; light is of one, too, as both have one set of colors but on the street."""
 
 _OVERCAST_TWINS = {None: "street:overcast", "street": "street:overcast"}
@@ -107,7 +99,7 @@ class RainFactors:
 
     rain: RainSettings
     """With all factors."""
-    game: Game
+    names: tuple[str, ...]
     twin: str | None
     """Scene with the light of this rain, dry."""
     friction: Friction | None = None
@@ -152,17 +144,31 @@ class RainFactors:
             absent |= ON_WET_GROUND
         elif twin is None or rain.wetness is not None or rain.intensity_mm_h < OVERCAST_MM_H:
             absent.add(LIGHT)
-        factors = tuple(each.name for each in FACTORS if each.name in chosen - absent)
-        nearest = {name: [below for below in _below(name) if below in factors] for name in factors}
-        game = Game(factors, {name: below[0] for name, below in nearest.items() if below})
-        return cls(rain, game, twin, friction)
+        return cls(rain, tuple(each.name for each in FACTORS if each.name in chosen - absent), twin, friction)
+
+    @cached_property
+    def coalitions(self) -> dict[Coalition, Coalition]:
+        """All coalitions, each with the one that is evaluated in its place, which has the same effect.
+
+        Nothing on wet ground acts without it, and the wet colors contain the light.
+        """
+        light = {LIGHT}.intersection(self.names)
+        return {
+            present: present | light if WET in present else present - (ON_WET_GROUND - {LIGHT})
+            for present in coalitions_of(self.names)
+        }
+
+    @property
+    def evaluated(self) -> list[Coalition]:
+        """The different coalitions, from none to all."""
+        return sorted(set(self.coalitions.values()), key=lambda each: (len(each), [n not in each for n in self.names]))
 
     def weather(self, present: Coalition) -> "CoalitionWeather":
         """Return the rain and the scene with some factors."""
         if not present:
             return CoalitionWeather(clear_rain(self.rain), False, self.friction)
         rain = self.rain
-        for each in self.game.factors:
+        for each in self.names:
             if each not in present:
                 rain = structs.replace(rain, **_BY_NAME[each].off)
         friction: Friction | None = self.friction if FRICTION in present or self.friction is None else "dry"

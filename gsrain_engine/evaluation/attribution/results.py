@@ -16,8 +16,8 @@ from ...safe_io.text_files import figure_words
 from ...scene.files import whole_file
 from ..report import ReportTable
 from ..report_charts import series_styles
-from .factors import title_of
-from .shapley import AttributionPlan, Coalition, Values, student_interval
+from .factors import RainFactors, title_of
+from .shapley import Coalition, Values, shapley_shares, student_interval
 
 
 class Measure(NamedTuple):
@@ -51,10 +51,8 @@ class Attribution:
     intensity_mm_h: float
     measure: Measure
     factors: tuple[str, ...]
-    pairs: int
-    """Pairs of opposite orders per seed; 0 if shares are of all orders."""
     coalitions: int
-    """Evaluated coalitions, in the mean over the seeds."""
+    """Evaluated coalitions of each seed."""
     seeds: tuple[int, ...]
     without: Float64[np.ndarray, " n"]
     """Value of each seed without rain."""
@@ -70,7 +68,7 @@ class Attribution:
 
     @property
     def shares(self) -> dict[str, ShareInterval]:
-        """Share of each factor, over the seeds: variation of drops, and of sampled orders."""
+        """Share of each factor, over the seeds."""
         return {
             name: ShareInterval(*student_interval(own)) for name, own in zip(self.factors, self.by_seed.T, strict=True)
         }
@@ -90,7 +88,7 @@ class Attribution:
         return {
             **self.subject, "intensity_mm_h": self.intensity_mm_h, "measure": self.measure.name,
             "title": self.measure.title, "object": self.measure.object, "seeds": list(self.seeds),
-            "coalitions": self.coalitions, "order_pairs": self.pairs, "without_rain": float(self.without.mean()),
+            "coalitions": self.coalitions, "without_rain": float(self.without.mean()),
             "in_rain": float(self.rainy.mean()), "whole": _finite(whole), "shares": shares,
         }  # fmt: skip
 
@@ -102,19 +100,21 @@ def _finite(interval: ShareInterval) -> dict[str, float | None]:
 def attributions(
     subject: Mapping[str, str],
     intensity_mm_h: float,
-    plan: AttributionPlan,
+    factors: RainFactors,
     measures: Sequence[Measure],
     values: Mapping[int, Values],
 ) -> list[Attribution]:
-    """Attribute the effect on each measure; `values` has, by seed, the measures of each coalition of the plan."""
+    """Attribute the effect on each measure; `values` has, by seed, the measures of each evaluated coalition."""
     seeds = tuple(sorted(values))
-    shares = np.stack([plan.shares(seed, values[seed]) for seed in seeds])
+    shares = np.stack([
+        shapley_shares(factors.names, {each: values[seed][same] for each, same in factors.coalitions.items()})
+        for seed in seeds
+    ])  # fmt: skip
     none: Coalition = frozenset()
-    without, rainy = (np.stack([values[seed][each] for seed in seeds]) for each in (none, frozenset(plan.game.factors)))
-    count = round(sum(len(values[seed]) for seed in seeds) / len(seeds))
+    without, rainy = (np.stack([values[seed][each] for seed in seeds]) for each in (none, frozenset(factors.names)))
     return [
         Attribution(
-            subject, intensity_mm_h, measure, plan.game.factors, plan.pairs, count, seeds,
+            subject, intensity_mm_h, measure, factors.names, len(factors.evaluated), seeds,
             without[:, m], rainy[:, m], shares[:, :, m],
         )
         for m, measure in enumerate(measures)
@@ -144,8 +144,7 @@ _SHAPLEY = (
     "they sum to the whole effect, the difference between this rain and the clear scene. "
 )
 OVER = (
-    "Intervals: Student's, 95 %, over the seeds, which pair; they cover the variation of the drops and of sampled "
-    "orders, not other places."
+    "Intervals: Student's, 95 %, over the seeds, which pair; they cover the variation of the drops, not other places."
 )
 
 
@@ -158,9 +157,8 @@ def share_table(found: Sequence[Attribution]) -> ReportTable:
 
 def method_of(attribution: Mapping[str, Any]) -> str:
     """Return a sentence on how shares were computed, from an attribution's plain values."""
-    seeds, pairs = len(attribution["seeds"]), attribution["order_pairs"]
-    orders = f"{2 * pairs} sampled orders a seed" if pairs else "all orders"
-    return f"{seeds} seed{'' if seeds == 1 else 's'}, {orders}, {attribution['coalitions']} coalitions a seed. "
+    seeds = len(attribution["seeds"])
+    return f"{seeds} seed{'' if seeds == 1 else 's'}, {attribution['coalitions']} coalitions a seed. "
 
 
 def write_share_csv(file: Path, found: Sequence[Attribution]) -> None:

@@ -22,7 +22,7 @@ from ...scene.scene import Scene
 from ...water.spray import has_fast_vehicles
 from ..attribution.factors import ON_WET_GROUND, RainFactors, factor_names, title_of
 from ..attribution.results import Attribution, Measure, attributions
-from ..attribution.shapley import AttributionPlan, Coalition
+from ..attribution.shapley import Coalition
 from ..report_charts import series_styles
 from .figures import figure_pixels
 from .run import Condition, DetectionResult, RainVariant
@@ -38,39 +38,38 @@ class RainAttribution:
 
     intensity_mm_h: float
     factors: RainFactors
-    plan: AttributionPlan
     seeds: tuple[int, ...]
     in_front: bool
     """True for rain in front of photographs, which themselves are the coalition of no factor."""
 
     def condition(self, present: Coalition, seed: int) -> Condition:
         """Condition of a coalition; with all factors, that of the evaluation itself."""
-        game = self.factors.game
-        if present == frozenset(game.factors):
+        names = self.factors.names
+        if present == frozenset(names):
             return Condition("rainy", self.intensity_mm_h, (seed,))
         if not present and self.in_front:
             return Condition("original", 0.0, self.seeds)
         if not present:  # only a sensor's noise depends on the seed
             return Condition("clear", 0.0, self.seeds if self.factors.rain.sensor is None else (seed,), NONE)
-        return Condition("rainy", self.intensity_mm_h, (seed,), "+".join(f for f in game.factors if f in present))
+        return Condition("rainy", self.intensity_mm_h, (seed,), "+".join(name for name in names if name in present))
 
     @property
     def conditions(self) -> list[Condition]:
         """Conditions of all coalitions and seeds, each once, and those of `steps`."""
-        each = [self.condition(present, seed) for seed in self.seeds for present in self.plan.coalitions(seed)]
+        each = [self.condition(present, seed) for seed in self.seeds for present in self.factors.evaluated]
         return list(dict.fromkeys([*each, *(condition for _, condition in self.steps)]))
 
     @property
     def steps(self) -> list[tuple[str, Condition]]:
         """Conditions of the first seed in which one factor after the other is added, with titles."""
-        names = self.factors.game.factors
+        names = self.factors.names
         titles = ["without rain", *(f"+ {title_of(each)}" for each in names)]
         return [(title, self.condition(frozenset(names[:k]), self.seeds[0])) for k, title in enumerate(titles)]
 
     def variants(self, own: RainVariant, twin: RainVariant | None) -> dict[str, RainVariant]:
         """Rain and scene of each variant; `own` is the evaluation's, `twin` has the scene with the light alone."""
         found: dict[str, RainVariant] = {}
-        for present in self.factors.game.coalitions:
+        for present in self.factors.evaluated:
             name = self.condition(present, self.seeds[0]).variant
             if name:
                 weather = self.factors.weather(present)
@@ -94,11 +93,11 @@ class RainAttribution:
             values = {
                 seed: {
                     present: _values(by_condition[self.condition(present, seed)], objects)
-                    for present in self.plan.coalitions(seed)
+                    for present in self.factors.evaluated
                 }
                 for seed in self.seeds
             }
-            found += attributions({"detector": detector}, self.intensity_mm_h, self.plan, measures, values)
+            found += attributions({"detector": detector}, self.intensity_mm_h, self.factors, measures, values)
         return found
 
 
@@ -109,14 +108,13 @@ def rain_attributions(
     scene: Scene,
     intensities_mm_h: Iterable[float],
     seeds: Sequence[int],
-    pairs: int | None,
     *,
     in_front: bool,
 ) -> list[RainAttribution]:
     """Take the rain apart at each intensity above 0.
 
-    `names`, `scene_name` as for `RainFactors.of`; `pairs` as for `AttributionPlan.of`. Raises ValueError for factors
-    that are unknown or that the scene lacks, and for a rain without any.
+    `names`, `scene_name` as for `RainFactors.of`. Raises ValueError for factors that are unknown or that the scene
+    lacks, and for a rain without any.
     """
     lacking: set[str] = set()
     if in_front:
@@ -131,10 +129,9 @@ def rain_attributions(
         if intensity > 0:
             at = structs.replace(rain, intensity_mm_h=intensity)
             factors = RainFactors.of(at, names, scene_name, tuple(lacking))
-            if not factors.game.factors:
+            if not factors.names:
                 raise ValueError(f"attribute: at {intensity:g} mm/h this rain has no factors")
-            plan = AttributionPlan.of(factors.game, pairs)
-            found.append(RainAttribution(intensity, factors, plan, tuple(seeds), in_front))
+            found.append(RainAttribution(intensity, factors, tuple(seeds), in_front))
     if not found:
         raise ValueError("attribute: expected a --rain above 0 mm/h")
     return found

@@ -27,7 +27,7 @@ SCENE_VERSION = 8
 """Incremented when a field is added. The default of each field is its meaning in older files, which stay readable.
 
 Version 7 adds lenses and rolling shutters of rig cameras, version 8 the origin and whether the upward direction is
-assumed; a scene is written as the lowest version, from 6 on, that has its fields.
+assumed.
 """
 
 Row = tuple[float, float, float, float]
@@ -108,9 +108,9 @@ class CameraRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     cy: float
     camera_to_ego: Matrix
     exposure_s: Positive = DEFAULT_EXPOSURE_S
-    lens: Lens | msgspec.UnsetType = msgspec.UNSET
-    readout_s: Annotated[float, Meta(ge=0, le=10)] | msgspec.UnsetType = msgspec.UNSET
-    readout_direction: ReadoutDirection | msgspec.UnsetType = msgspec.UNSET
+    lens: Lens | None = None
+    readout_s: Annotated[float, Meta(ge=0, le=10)] = 0.0
+    readout_direction: ReadoutDirection = "down"
 
 
 # Camera paths
@@ -163,8 +163,8 @@ class SceneRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     metres_per_unit: Positive = 1.0
     unit_is_assumed: bool = False
     up: Vector = (0.0, 0.0, 1.0)
-    up_is_assumed: bool | msgspec.UnsetType = msgspec.UNSET
-    origin: Vector | msgspec.UnsetType = msgspec.UNSET
+    up_is_assumed: bool = False
+    origin: Vector = (0.0, 0.0, 0.0)
     ground_m: float | None = None
     layers: list[LayerRecord] = []
     actors: list[ActorRecord] = []
@@ -200,11 +200,8 @@ def record_of(
 ) -> SceneRecord:
     """Plain values of a scene with the files of its layers, then actors, and of their wet colors."""
     names, wet_names = iter(files), iter(wet_files or [None] * len(files))
-    placed = {"up_is_assumed": True} if scene.up_is_assumed else {}
-    placed |= {"origin": scene.origin} if any(scene.origin) else {}
     return SceneRecord(
-        version=8 if placed else 7 if any(each.is_bent for rig in scene.rigs.values() for each in rig) else 6,
-        **placed,
+        version=SCENE_VERSION,
         **_fields(scene, _SCENE),
         layers=[_layer_record(layer, next(names), next(wet_names)) for layer in scene.layers],
         actors=[_actor_record(actor, next(names), next(wet_names)) for actor in scene.actors],
@@ -237,11 +234,10 @@ def scene_of(record: SceneRecord, gaussians: list[Gaussians], wet: Sequence[WetC
         _actor(each, next(given), next(wet_given), f"`$.actors[{i}]") for i, each in enumerate(record.actors)
     )
     counts = {each.key: len(each.gaussians) for each in (*layers, *actors)}
-    if record.origin is not msgspec.UNSET and not np.isfinite(record.origin).all():
+    if not np.isfinite(record.origin).all():
         raise ValueError(f"`$.origin` must be a place, not {list(record.origin)}")
     return Scene(
         **_fields(record, _SCENE),
-        **_present_fields(record, ("up_is_assumed", "origin")),
         layers=layers,
         actors=actors,
         rigs={name: tuple(_camera(camera, name) for camera in cameras) for name, cameras in record.rigs.items()},
@@ -285,20 +281,15 @@ def _actor(record: ActorRecord, gaussians: Gaussians, wet_sh: WetColors, where: 
 
 
 _NODE = ("visible", "locked", "opacity", "grading")
-_CAMERA = ("name", "width", "height", "fx", "fy", "cx", "cy", "exposure_s")
+_CAMERA = ("name", "width", "height", "fx", "fy", "cx", "cy", "exposure_s", "lens", "readout_s", "readout_direction")
 _FLAGS = ("selected", "hidden", "deleted")
 _PATH = ("exposure_s", "interpolation", "easing", "loop", "is_timed")
-_SCENE = ("name", "metres_per_unit", "unit_is_assumed", "up", "ground_m")
+_SCENE = ("name", "metres_per_unit", "unit_is_assumed", "up", "up_is_assumed", "origin", "ground_m")
 
 
 def _fields(source: object, names: Sequence[str]) -> dict[str, Any]:
     """Fields that a scene and its record name alike."""
     return {name: getattr(source, name) for name in names}
-
-
-def _present_fields(record: object, names: Sequence[str]) -> dict[str, Any]:
-    """Fields that a file has, of those that it may leave out."""
-    return {name: value for name, value in _fields(record, names).items() if value is not msgspec.UNSET}
 
 
 def _rows(matrix: Float64[np.ndarray, "4 4"]) -> Matrix:
@@ -321,22 +312,16 @@ def _is_pose(matrix: Float64[np.ndarray, "4 4"]) -> bool:
 
 
 def _camera_record(camera: RigCamera) -> CameraRecord:
-    record = CameraRecord(camera_to_ego=_rows(camera.camera_to_ego), **_fields(camera, _CAMERA))
-    if camera.lens is not None:
-        record = msgspec.structs.replace(record, lens=camera.lens)
-    if camera.readout_s > 0:
-        record = msgspec.structs.replace(record, **_fields(camera, ("readout_s", "readout_direction")))
-    return record
+    return CameraRecord(camera_to_ego=_rows(camera.camera_to_ego), **_fields(camera, _CAMERA))
 
 
 def _camera(record: CameraRecord, rig: str) -> RigCamera:
     matrix = np.array(record.camera_to_ego, np.float64)
     if not _is_pose(matrix):
         raise ValueError(f"camera_to_ego of camera {record.name!r} must be a rotation and a place - at `$.rigs.{rig}`")
-    given = _present_fields(record, ("lens", "readout_s", "readout_direction"))
-    if isinstance(record.lens, Lens):
+    if record.lens is not None:
         record.lens.check_drawable()
-    return RigCamera(camera_to_ego=matrix, **_fields(record, _CAMERA), **given)
+    return RigCamera(camera_to_ego=matrix, **_fields(record, _CAMERA))
 
 
 def flags_record(marks: SelectionFlags) -> FlagsRecord:

@@ -7,12 +7,16 @@ from msgspec import structs
 from gsrain_engine.evaluation.attribution.factors import (
     ALL,
     FACTORS,
+    LIGHT,
     NO_FACTORS,
+    ON_WET_GROUND,
+    WET,
     Factor,
     RainFactors,
     clear_rain,
     is_attributed,
 )
+from gsrain_engine.evaluation.attribution.shapley import MAX_FACTORS
 from gsrain_engine.rain.frame import RainCamera, SkyLight
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.simulation import RainSimulation
@@ -43,24 +47,38 @@ def test_a_rain_has_the_factors_that_act_in_it():
         (structs.replace(load_preset("paper"), wetness=0.0), "street", ("streaks", "medium")),
     ):
         found = RainFactors.of(rain, (ALL,), scene)
-        assert found.game.factors == expected and found.rain == rain
-    assert RainFactors.of(RAIN, (ALL,), "street").game.after == {"wet": "light", "mirror": "wet", "splashes": "mirror"}
-    assert RainFactors.of(RAIN, (ALL,), "my_scene").game.after == {"mirror": "wet", "splashes": "mirror"}
-    without_mirror = RainFactors.of(RAIN, (ALL,), "s", lacking=("mirror",)).game
-    assert without_mirror.after == {"splashes": "wet"}
-    assert without_mirror.factors == ("streaks", "medium", "wet", "splashes", "glass")
+        assert found.names == expected and found.rain == rain
+    assert RainFactors.of(RAIN, (ALL,), "s", lacking=("mirror",)).names == (
+        "streaks", "medium", "wet", "splashes", "glass",
+    )  # fmt: skip
+
+
+def test_coalitions_of_the_same_effect_are_evaluated_once():
+    found = RainFactors.of(RAIN, ("streaks", "light", "wet", "mirror"), "street")
+    assert len(found.coalitions) == 16 and set(found.coalitions.values()) == set(found.evaluated)
+    assert [sorted(each) for each in found.evaluated] == [
+        [], ["streaks"], ["light"], ["light", "streaks"], ["light", "wet"], ["light", "streaks", "wet"],
+        ["light", "mirror", "wet"], ["light", "mirror", "streaks", "wet"],
+    ]  # fmt: skip
+    for present, same in (
+        ({"mirror"}, set()), ({"light", "mirror"}, {"light"}), ({"wet"}, {"light", "wet"}),
+        ({"wet", "mirror", "streaks"}, {"light", "wet", "mirror", "streaks"}),
+    ):  # fmt: skip
+        assert found.coalitions[frozenset(present)] == same
+    every = RainFactors.of(structs.replace(RAIN, spray=True), (ALL,), "street", friction="wet")
+    assert (len(every.names), len(every.coalitions), len(every.evaluated)) == (9, 512, 160)
 
 
 def test_a_list_of_factors_makes_the_rain():
     found = RainFactors.of(RainSettings(intensity_mm_h=12.0, streaks=False), ("glass", "streaks"), "street")
-    assert found.game.factors == ("streaks", "glass")
+    assert found.names == ("streaks", "glass")
     dry = {"wetness": 0.0, "mirror": False, "splashes": False, "spray": False}
     assert found.rain == RainSettings(intensity_mm_h=12.0, glass="windshield", haze="none", **dry)
 
 
 def test_coalitions_switch_the_rest_off():
     found = RainFactors.of(RAIN, (ALL,), "street")
-    assert found.weather(frozenset(found.game.factors)) == (RAIN, False, None)
+    assert found.weather(frozenset(found.names)) == (RAIN, False, None)
     rain, in_twin, _ = found.weather(frozenset({"medium", "light"}))
     assert in_twin and rain == structs.replace(
         RAIN, streak_gain=0.0, wetness=0.0, mirror=False, splashes=False, glass="none"
@@ -74,11 +92,11 @@ def test_coalitions_switch_the_rest_off():
 
 def test_friction_is_a_factor_of_drives_alone():
     wet, dry = (RainFactors.of(RAIN, (ALL,), "my_scene", friction=each) for each in ("wet", "dry"))
-    assert wet.game.factors == (*dry.game.factors, "friction") and "friction" not in wet.game.after
+    assert wet.names == (*dry.names, "friction")
     assert [wet.weather(frozenset(each)).friction for each in (["friction"], ["glass"], [])] == ["wet", "dry", "wet"]
     assert {dry.weather(frozenset(each)).friction for each in (["glass"], [])} == {"dry"}
     named = RainFactors.of(RAIN, ("friction", "glass"), "my_scene", friction="dry")
-    assert (named.game.factors, named.friction) == (("glass", "friction"), "wet")
+    assert (named.names, named.friction) == (("glass", "friction"), "wet")
     assert RainFactors.of(RAIN, ("glass",), "my_scene", friction="wet").friction == "dry"
     with pytest.raises(ValueError, match="attribute friction: pictures have none"):
         RainFactors.of(RAIN, ("friction",), "my_scene")
@@ -126,4 +144,6 @@ def test_rows_name_settings_that_are_there():
     with pytest.raises(ValueError, match="rain has no setting puddles"):
         Factor("puddles", "puddles", {"puddles": False})
     names = [each.name for each in FACTORS]
-    assert all(each.after in (None, *names[:k]) for k, each in enumerate(FACTORS))  # so that steps add them in order
+    assert len(names) <= MAX_FACTORS and names.index(LIGHT) < names.index(WET) == min(
+        names.index(each) for each in ON_WET_GROUND - {LIGHT}
+    )  # so that steps add them in order

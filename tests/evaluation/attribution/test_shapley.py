@@ -1,17 +1,17 @@
-"""Shapley shares of games with known values, sampled orders and their intervals, and factors that need another one."""
+"""Shapley shares of games with known values, and of as many factors as are allowed."""
 
 from itertools import permutations
 
 import numpy as np
 import pytest
 
-from gsrain_engine.evaluation.attribution.shapley import AttributionPlan, Game, sampled_shares, student_interval
+from gsrain_engine.evaluation.attribution.shapley import MAX_FACTORS, coalitions_of, shapley_shares, student_interval
 
-ABC = Game(("a", "b", "c"))
+ABC = ("a", "b", "c")
 
 
-def values_of(game, worth):
-    return {each: np.array([worth(each)], float) for each in game.coalitions}
+def values_of(factors, worth):
+    return {each: np.array([worth(each)], float) for each in coalitions_of(factors)}
 
 
 GLOVES = (lambda s: float("a" in s and ("b" in s or "c" in s)), (2 / 3, 1 / 6, 1 / 6))  # a left glove, two right ones
@@ -22,76 +22,32 @@ MAJORITY = (lambda s: float(len(s) >= 2), (1 / 3, 1 / 3, 1 / 3))
 
 @pytest.mark.parametrize(("worth", "expected"), [GLOVES, ADDITIVE, UNANIMOUS, MAJORITY])
 def test_known_games(worth, expected):
-    np.testing.assert_allclose(ABC.shares(values_of(ABC, worth))[:, 0], expected, atol=1e-12)
+    np.testing.assert_allclose(shapley_shares(ABC, values_of(ABC, worth))[:, 0], expected, atol=1e-12)
 
 
-def test_what_acts_on_top_of_another_is_added_with_it():
-    game = Game(("x", "light", "y", "wet", "mirror"), {"wet": "light", "mirror": "wet"})
-    assert game.chains == [("x",), ("light", "wet", "mirror"), ("y",)] and len(game.coalitions) == 8 + 2 * 4
-    worth = {each: np.random.default_rng(number).normal(size=2) for number, each in enumerate(game.coalitions)}
-    allowed = [tuple(name for chain in each for name in chain) for each in permutations(game.chains)]
-    np.testing.assert_allclose(game.shares(worth), sampled_shares(game.factors, allowed, worth), atol=1e-12)
-    drawn = game.orders(600, seed=1)
-    assert set(drawn) == set(allowed)
-    counts = np.array([drawn.count(each) for each in allowed])
-    assert np.all(abs(counts - 200) < 4 * np.sqrt(400))  # uniform; an order comes with its opposite
-    for wrong in ({"wet": "light", "mirror": "light"}, {"wet": "rain"}):
-        with pytest.raises(ValueError, match="each may bear one"):
-            Game(game.factors, wrong)
+def test_shares_are_means_over_all_orders_and_sum_to_the_whole_effect():
+    factors = tuple("abcde")
+    worth = {each: np.random.default_rng(number).normal(size=2) for number, each in enumerate(coalitions_of(factors))}
+    shares, expected = shapley_shares(factors, worth), np.zeros((5, 2))
+    orders = list(permutations(factors))
+    for order in orders:
+        for k, name in enumerate(order):
+            change = worth[frozenset(order[: k + 1])] - worth[frozenset(order[:k])]
+            expected[factors.index(name)] += change / len(orders)
+    np.testing.assert_allclose(shares, expected, atol=1e-12)
+    np.testing.assert_allclose(shares.sum(axis=0), worth[frozenset(factors)] - worth[frozenset()], atol=1e-12)
 
 
-def test_a_factor_without_effect_leaves_the_shares_of_the_others():
-    def worth(present):
-        return float({"wet", "glass"} <= present)  # both are needed
-
-    for factors, after in ((("wet", "glass"), {}), (("wet", "rings", "glass"), {"rings": "wet"})):
-        game = Game(factors, after)
-        shares = dict(zip(factors, game.shares(values_of(game, worth))[:, 0], strict=True))
-        assert shares == pytest.approx({"wet": 0.5, "glass": 0.5} | ({"rings": 0.0} if after else {}))
-
-
-def random_worth(game, seed):
-    """Main effects with interactions of all orders, as of a detector that fails by several causes together."""
-    draw = np.random.default_rng(seed)
-    main = dict(zip(game.factors, draw.normal(size=len(game.factors)), strict=True))
-    return {each: np.array([sum(main[f] for f in each) + draw.normal()]) for each in game.coalitions}
+def test_nine_factors_have_512_coalitions_and_more_are_refused():
+    nine = tuple("abcdefghi")
+    assert len(nine) == MAX_FACTORS and len(set(coalitions_of(nine))) == 512
+    shares = shapley_shares(nine, values_of(nine, lambda s: float(len(s) ** 2)))
+    np.testing.assert_allclose(shares, 9.0)
+    with pytest.raises(ValueError, match="attribute: expected at most 9 factors, got 10"):
+        coalitions_of((*nine, "j"))
 
 
-SIX = Game(tuple("abcdef"))
-
-
-def test_sampled_shares_lie_within_their_intervals_as_often_as_stated():
-    worth = random_worth(SIX, 0)
-    exact = SIX.shares(worth)[:, 0]
-    plan, seeds, covered = AttributionPlan(SIX, 2), 6, []
-    for trial in range(150):
-        shares = np.stack([plan.shares(seeds * trial + seed, worth)[:, 0] for seed in range(seeds)])
-        intervals = [student_interval(own) for own in shares.T]
-        covered += [low <= value <= high for (_, low, high), value in zip(intervals, exact, strict=True)]
-    assert abs(np.mean(covered) - 0.95) < 0.03  # 900 intervals, six by six from the same orders
-
-
-def test_opposite_orders_err_less_than_independent_ones():
-    worth = random_worth(SIX, 3)
-    exact = SIX.shares(worth)[:, 0]
-    opposite = [sampled_shares(SIX.factors, SIX.orders(2, seed), worth)[:, 0] for seed in range(100)]
-    one_of_each = [SIX.orders(4, 1000 + seed)[::2] for seed in range(100)]
-    independent = [sampled_shares(SIX.factors, orders, worth)[:, 0] for orders in one_of_each]
-    assert np.square(opposite - exact).mean() < 0.9 * np.square(independent - exact).mean()
-
-
-@pytest.mark.parametrize("pairs", [0, 1, 3])
-def test_shares_sum_to_the_whole_effect_with_any_orders(pairs):
-    worth, plan = random_worth(SIX, 5), AttributionPlan(SIX, pairs)
-    for seed in range(5):
-        taken = plan.coalitions(seed)
-        assert taken[0] == frozenset() and taken[-1] == frozenset(SIX.factors) and len(set(taken)) == len(taken)
-        assert len(taken) == 64 if pairs == 0 else len(taken) <= 2 + 10 * pairs
-        shares = plan.shares(seed, {each: worth[each] for each in taken})  # of these coalitions alone
-        np.testing.assert_allclose(shares.sum(axis=0), worth[taken[-1]] - worth[taken[0]], atol=1e-13)
-
-
-def test_all_orders_are_taken_where_they_are_few():
-    assert AttributionPlan.of(ABC, None).pairs == 0 and AttributionPlan.of(ABC, 3).pairs == 3
-    seven = Game(tuple("abcdefg"))
-    assert AttributionPlan.of(SIX, None).pairs == 0 and AttributionPlan.of(seven, None).pairs == 2
+def test_an_interval_of_student():
+    assert student_interval([1.0, 2.0, 3.0]) == pytest.approx((2.0, 2 - 4.302653 / 3**0.5, 2 + 4.302653 / 3**0.5))
+    mean, low, high = student_interval([1.5])
+    assert mean == 1.5 and np.isnan([low, high]).all()
