@@ -10,7 +10,7 @@ from itertools import groupby, product
 from operator import itemgetter
 from pathlib import Path
 from statistics import correlation, linear_regression, median
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any, TextIO, get_args
 
 import msgspec
 import numpy as np
@@ -29,6 +29,7 @@ from gsrain_engine.render.opengl.context import NoOpenGLError
 from gsrain_engine.render.renderer import Renderer, RenderStatistics, describe_machine
 from gsrain_engine.render.sequence import FrameSequence
 from gsrain_engine.render.view import rain_camera
+from gsrain_engine.report.table import Column, Table
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from gsrain_engine.scene.geometry import linear_to_srgb, srgb_to_linear
@@ -36,7 +37,7 @@ from gsrain_engine.scene.open import is_random_scene, load_scene, random_scene, 
 from gsrain_engine.scene.progress import run_to_end
 from gsrain_engine.scene.scene import Scene
 
-from .console import Console, progress_bar, rows_table
+from .console import print, print_lines, progress_bar
 from .options import (
     JsonFileOrScreen,
     check_within,
@@ -56,7 +57,6 @@ Scenes = Annotated[
 _WARM_UP = 2  # untimed frames before the first timed one: kernels and shaders compile, buffers reach their size
 _SCENES = "random-50k,random-100k,random-200k,random-400k,random-800k,random-1m,random-3m,street"
 _START_S = 1.0
-_COLUMNS = 120  # table width, also if the output is a file
 
 
 def render(
@@ -103,7 +103,7 @@ def render(
         "rain_costs": rain_costs(rows),
     }
     numbers["machine"] = describe_machine() | {"devices": devices}
-    _print(rows, numbers, Console(file=table_stream(json), width=_COLUMNS))
+    _print(rows, numbers, table_stream(json))
     write_numbers(json, numbers)
     return numbers
 
@@ -244,19 +244,31 @@ def _opengl() -> list[str]:
         return []
 
 
-def _print(rows: list[dict[str, Any]], numbers: dict[str, Any], console: Console) -> None:
-    columns = {
-        "scene": "{0[scene]}", "back end": "{0[backend]}", "size": "{0[width]}x{0[height]}",
-        "mm/h": "{0[intensity_mm_h]:g}", "splats": "{0[splats]:,}", "ns/splat": "{0[ns_per_splat]:.0f}",
-        "ms": "{0[frame_ms_median]:.1f}",
+def _print(rows: list[dict[str, Any]], numbers: dict[str, Any], file: TextIO) -> None:
+    shown = {
+        "scene": "scene", "back end": "backend", "size": "size", "mm/h": "intensity_mm_h:g", "splats": "splats:,",
+        "ns/splat": "ns_per_splat:.0f", "ms": "frame_ms_median:.1f",
     }  # fmt: skip
-    columns |= {stage: f"{{0[stages_ms][{stage}]:.1f}}" for row in rows for stage in row["stages_ms"]}
-    console.print(rows_table(columns, rows))
+    shown |= {stage: f"stage {stage}:.1f" for row in rows for stage in row["stages_ms"]}
+    print_lines(_table(shown, rows, "stages_ms").text, file=file)
     for fit in numbers["fits"]:
-        console.print(
+        print(
             f"{fit['backend']}, SH {fit['sh_degree']}, {fit['width']}x{fit['height']}: "
-            f"{fit['intercept_ms']:.1f} ms + {fit['slope_ns_per_gaussian']:.0f} ns a Gaussian, R2 {fit['r2']:.4f}"
+            f"{fit['intercept_ms']:.1f} ms + {fit['slope_ns_per_gaussian']:.0f} ns a Gaussian, R2 {fit['r2']:.4f}",
+            file=file,
         )
+
+
+def _table(shown: Mapping[str, str], rows: Sequence[Mapping[str, Any]], stages: str = "") -> Table:
+    """Return a table of rows by title, from keys with formats; those of a row's stages begin with "stage "."""
+    keys = [each.partition(":")[::2] for each in shown.values()]
+    flat = [
+        {"size": f"{row.get('width')}x{row.get('height')}", **row}
+        | {f"stage {name}": value for name, value in row.get(stages, {}).items()}
+        for row in rows
+    ]
+    titled = tuple(Column(title, form) for title, (_, form) in zip(shown, keys, strict=True))
+    return Table("Times", titled, [[row.get(key) for key, _ in keys] for row in flat])
 
 
 # Scene files
@@ -288,12 +300,12 @@ def loading(
                 with tempfile.TemporaryDirectory(prefix="gsrain-bench-") as folder:
                     rows.append(time_loading(scene, _SUFFIXES[form], Path(folder), repeats))
                 advance()
-    columns = {
-        "scene": "{0[scene]}", "format": "{0[format]}", "Gaussians": "{0[gaussians]:,}", "SH": "{0[sh_degree]}",
-        "MB": "{0[megabytes]:.1f}", "write ms": "{0[write_ms]:.0f}", "read ms": "{0[read_ms_median]:.1f}",
-        "bytes ms": "{0[bytes_ms_min]:.1f}", "ns/Gaussian": "{0[ns_per_gaussian]:.0f}",
+    shown = {
+        "scene": "scene", "format": "format", "Gaussians": "gaussians:,", "SH": "sh_degree", "MB": "megabytes:.1f",
+        "write ms": "write_ms:.0f", "read ms": "read_ms_median:.1f", "bytes ms": "bytes_ms_min:.1f",
+        "ns/Gaussian": "ns_per_gaussian:.0f",
     }  # fmt: skip
-    return _finish(columns, rows, json)
+    return _finish(_table(shown, rows), rows, json)
 
 
 def time_loading(scene: Scene, suffix: str, folder: Path, repeats: int) -> dict[str, Any]:
@@ -327,8 +339,8 @@ def _ms(work: Callable[[], object]) -> float:
     return 1000 * (time.perf_counter() - start)
 
 
-def _finish(columns: Mapping[str, str], rows: list[dict[str, Any]], json: Path | None) -> dict[str, Any]:
-    Console(file=table_stream(json), width=_COLUMNS).print(rows_table(columns, rows))
+def _finish(table: Table, rows: list[dict[str, Any]], json: Path | None) -> dict[str, Any]:
+    print_lines(table.text, file=table_stream(json))
     numbers = {"rows": rows, "machine": describe_machine()}
     write_numbers(json, numbers)
     return numbers
@@ -366,13 +378,10 @@ def recoloring(
             scene = timed_scene(name)
             rows.append(time_recoloring(scene, _cameras(scene, views, width, height), settings))
             advance()
-    columns = {
-        "scene": "{0[scene]}", "Gaussians": "{0[gaussians]:,}", "seen": "{0[seen]:,}", "views": "{0[views]}",
-        "size": "{0[width]}x{0[height]}",
-    }  # fmt: skip
-    columns |= {f"{stage} s": f"{{0[stages_s][{stage}]:.2f}}" for row in rows for stage in row["stages_s"]}
-    columns |= {"ms/step": "{0[iteration_ms]:.0f}", "dB": "{0[psnr_before_db]:.1f}", "dB then": "{0[psnr_db]:.1f}"}
-    return _finish(columns, rows, json)
+    shown = {"scene": "scene", "Gaussians": "gaussians:,", "seen": "seen:,", "views": "views", "size": "size"}
+    shown |= {f"{stage} s": f"stage {stage}:.2f" for row in rows for stage in row["stages_s"]}
+    shown |= {"ms/step": "iteration_ms:.0f", "dB": "psnr_before_db:.1f", "dB then": "psnr_db:.1f"}
+    return _finish(_table(shown, rows, "stages_s"), rows, json)
 
 
 def time_recoloring(scene: Scene, cameras: Sequence[tuple[float, Camera]], settings: RecolorSettings) -> dict[str, Any]:

@@ -8,14 +8,13 @@ the standard streams anywhere else in the program.
 import logging
 import sys
 import time
-from collections.abc import Callable, Generator, Iterable, Mapping
+from collections.abc import Callable, Generator, Iterable
 from contextlib import contextmanager, suppress
 from typing import IO, TYPE_CHECKING, Any, TypeVar
 
 import rich.console
 from rich import progress
 from rich.segment import Segment
-from rich.table import Table as Table
 from rich.text import Text
 
 from gsrain_engine.safe_io.text_files import escape_invisible
@@ -57,37 +56,6 @@ def wide_console() -> Console:
 
 def counted(count: int, noun: str) -> str:
     return f"{count:,} {noun}" + ("" if count == 1 else "s")
-
-
-def bold(text: str) -> Text:
-    return Text(escape_invisible(text), "bold")
-
-
-def table_of(left: str, right: str = "", *, wraps: bool = False, **options: Any) -> Table:
-    """Return a table without lines: its columns, separated by commas, those of `right` right-aligned."""
-    table = Table(box=None, **options)
-    for titles, justify in ((left, "left"), (right, "right")):
-        for title in filter(None, titles.split(",")):
-            table.add_column(title, no_wrap=not wraps, justify=justify)
-    return table
-
-
-def rows_table(columns: Mapping[str, str], rows: Iterable[Any]) -> Table:
-    """Return a table without lines: a format by title, such as `{0.name}` or `{0[views]:,}`, for each row.
-
-    A cell stays empty if the row lacks its value, or has None.
-    """
-    table = Table(*columns, box=None)
-    for row in rows:
-        table.add_row(*(_cell(each, row) for each in columns.values()))
-    return table
-
-
-def _cell(form: str, row: Any) -> str:
-    try:
-        return form.format(row)
-    except (KeyError, TypeError):
-        return ""
 
 
 def print(*words: object, file: IO[str] | None = None, flush: bool = False) -> None:

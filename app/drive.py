@@ -13,7 +13,6 @@ import msgspec
 from cyclopts import Parameter
 
 from gsrain_engine.backends import Backend, open_renderer
-from gsrain_engine.evaluation.report import write_report
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.wetness import with_wet_choice
 from gsrain_engine.render import export_settings
@@ -21,6 +20,7 @@ from gsrain_engine.render.export_settings import Lod
 from gsrain_engine.render.level_of_detail import lod_cut
 from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.render.video import can_write_videos
+from gsrain_engine.report.page import write_report
 from gsrain_engine.scene.files import file_word, shortened
 from gsrain_engine.scene.open import STREET, load_sorted_scene, scene_hash, with_lod_trees
 from gsrain_engine.scene.scene import Scene
@@ -37,7 +37,7 @@ from gsrain_engine.simulation.agents.registry import (
     open_agent,
 )
 from gsrain_engine.simulation.ground import recorded_route
-from gsrain_engine.simulation.metrics.summary import ScoredRun, compare_drives, results_table, write_metrics_csv
+from gsrain_engine.simulation.metrics.summary import ScoredRun, compare_drives, metrics_table, results_table
 from gsrain_engine.simulation.obstacles import drivable_of
 from gsrain_engine.simulation.playback import RolloutPlayback
 from gsrain_engine.simulation.rollout import BACKGROUND, CameraImage, Rollout
@@ -392,7 +392,7 @@ def write_drives(
     written = [path for run in runs for path in _write_run(files, run, scene, renderer, lod, films)]
     compared = compare_drives(runs)
     write_text(files.folder / "table.md", results_table(compared).markdown)
-    write_metrics_csv(files.folder / "table.csv", [run.metrics for run in runs])
+    metrics_table([run.metrics for run in runs]).write_csv(files.folder / "table.csv")
     figures = {files.figure(each.scenario, each.agent): kinematics_figure(each) for each in compared}
     for path, figure in figures.items():
         write_figure(path, figure)

@@ -19,7 +19,7 @@ from gsrain_engine.scene.files import hold_for_writing, name_problem, shortened,
 from .console import print, print_lines
 
 if TYPE_CHECKING:
-    from gsrain_engine.evaluation.report import RunReport
+    from gsrain_engine.report.page import RunReport
 
 SCREEN = Path("-")
 """Standard output in place of a file."""
@@ -218,7 +218,7 @@ def table_stream(file: Path | None) -> TextIO:
 
 def write_page(report: Path, page: "RunReport", json: Path | None, numbers: Mapping[str, Any]) -> None:
     """Write a report page, with its numbers next to it unless another file was chosen for them; prints the names."""
-    from gsrain_engine.evaluation.report import write_report
+    from gsrain_engine.report.page import write_report
 
     write_report(report, page)
     written = [report] if json is not None else [report, report.with_suffix(".json")]

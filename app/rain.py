@@ -1,5 +1,6 @@
 """`gsrain calibrate` and `gsrain disdrometer`: rain calibration from measured spectra, and a virtual disdrometer."""
 
+from collections.abc import Sequence
 from dataclasses import asdict, is_dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -21,8 +22,10 @@ from gsrain_engine.rain.calibration import save_calibration
 from gsrain_engine.rain.properties import DropSizes
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.simulation import RainSimulation
+from gsrain_engine.report.interval import Interval
+from gsrain_engine.report.table import Cell, Table, columns
 
-from .console import Console, Table, print, print_lines, progress_bar
+from .console import Console, print, print_lines, progress_bar
 from .options import JsonFile, Preset, check_within, flag, option, options_of
 from .outputs import check_ending, check_writable, write_numbers
 from .scene import Columns
@@ -136,25 +139,27 @@ def _print(fitted: FittedCalibration, files: int) -> None:
     r2 = fitted.calibration.velocity.r2
     quality = "assumed: the instrument measures no speed" if r2 is None else f"R² = {r2:.4f}"
     console.print(f"V = {a:.4g} D² {b:+.4g} D {c:+.4g} m/s, {quality}")
-    table = Table(
-        "mm/h", "minutes", "drops", "N per m³", "shape", "scale mm", "by moments (mm)", "implied mm/h", box=None
-    )
+    titled = {
+        "mm/h": ".3g", "minutes": ",", "drops": ",", "N per m³": ".3g", "shape": ".3g", "scale mm": ".3g",
+        "by moments (mm)": "", "implied mm/h": ".3g",
+    }  # fmt: skip
+    rows: list[tuple[Cell, ...]] = []
     for each in fitted.rows:
         row = each.row
-        limits = (None,) * 3 if row.confidence is None else msgspec.structs.astuple(row.confidence)
-        table.add_row(
-            f"{row.intensity_mm_h:.3g}", f"{each.minutes:,}", f"{each.drops:,}",
-            *(_with_limits(*pair) for pair in zip((row.density_m3, row.shape, row.scale_mm), limits, strict=True)),
-            f"{each.moments_shape:.3g} x {each.moments_scale_mm:.3g}", f"{each.implied_mm_h:.3g}",
-        )  # fmt: skip
-    console.print(table)
+        values = row.density_m3, row.shape, row.scale_mm
+        limits = None if row.confidence is None else msgspec.structs.astuple(row.confidence)
+        cells: Sequence[Cell] = values
+        if limits is not None:
+            cells = [
+                Interval(value, *ends, "bootstrap, 95 %", "minutes", each.minutes)
+                for value, ends in zip(values, limits, strict=True)
+            ]
+        moments = f"{each.moments_shape:.3g} x {each.moments_scale_mm:.3g}"
+        rows.append((row.intensity_mm_h, each.minutes, each.drops, *cells, moments, each.implied_mm_h))
+    print_lines(Table("Fit", columns(titled), rows).text)
     if fitted.passed_over:
         bins = ", ".join(reason.partition(" mm/h")[0] for reason in fitted.passed_over)
         console.print(f"too little rain for a row at {bins} mm/h")
-
-
-def _with_limits(value: float, limits: tuple[float, float] | None) -> str:
-    return f"{value:.3g}" if limits is None else f"{value:.3g} ({limits[0]:.3g}..{limits[1]:.3g})"
 
 
 # gsrain disdrometer
@@ -281,9 +286,7 @@ def _print_disdrometer(counted: DisdrometerMeasurement) -> None:
         law += f"; {fitted.shape:.4g}, {fitted.scale_mm:.3g} mm fitted to the counted drops"
     console.print(law)
     spectrum = _spectrum(counted, _ROWS_MM)
-    table = Table("diameter mm", "drops", "N(D) 1/(m³ mm)", box=None)
-    for (low, high), drops, density in zip(
-        pairwise(_ROWS_MM), spectrum["drops"], spectrum["drops_per_m3_mm"], strict=True
-    ):
-        table.add_row(f"{low:g} - {high:g}", f"{drops:,.0f}", f"{density:.4g}")
-    console.print(table)
+    bins = (f"{low:g} - {high:g}" for low, high in pairwise(_ROWS_MM))
+    rows = [*zip(bins, spectrum["drops"], spectrum["drops_per_m3_mm"], strict=True)]
+    titled = columns({"diameter mm": "", "drops": ",.0f", "N(D) 1/(m³ mm)": ".4g"})
+    print_lines(Table("Spectrum", titled, rows).text)

@@ -21,6 +21,7 @@ from gsrain_engine.editor.edits.actors import drive_along, drive_along_own_path
 from gsrain_engine.editor.edits.level import UNIT_M, Axis, level_from_ground, oriented, set_camera_height
 from gsrain_engine.editor.viewport.camera import find_scene_core
 from gsrain_engine.render.images import write_image
+from gsrain_engine.report.table import Cell, Table, columns
 from gsrain_engine.safe_io.file_kinds import find_file_kind
 from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.camera_path_edit import WALKING_M_S, with_constant_speed
@@ -45,7 +46,7 @@ from gsrain_engine.scene.rig import rig_camera
 from gsrain_engine.scene.scene import Actor, Layer, Scene, bounds
 from gsrain_engine.scene.transforms import with_wetness_baked
 
-from .console import counted, print, print_lines, progress_bar, run_with_progress, table_of, wide_console
+from .console import counted, print, print_lines, progress_bar, run_with_progress, wide_console
 from .options import AllowOutside, JsonFile, check_within, flag, let_names_lead_outside, option
 from .outputs import check_image, check_scene_folder, check_scene_target, check_writable, lock_outputs, write_numbers
 
@@ -208,13 +209,14 @@ def _print(scene: Scene, numbers: dict[str, Any]) -> None:
         )
     for name, cameras in numbers["rigs"].items():
         console.print(f"rig {name}: {', '.join(cameras)}")
-    table = table_of("name,kind,Gaussians,SH degree,wet,minimum,maximum,MiB")
+    titled = columns({"name": "", "kind": "", "Gaussians": ",", "SH degree": "", "wet": "", "minimum": "",
+                      "maximum": "", "MiB": ".1f"})  # fmt: skip
+    rows: list[tuple[Cell, ...]] = []
     for row in numbers["members"]:
         corners = [" ".join(f"{v + 0.0:g}" for v in row[key]) for key in ("minimum", "maximum")]
-        size = f"{row['memory_bytes'] / 2**20:.1f}"
-        wet = "yes" if row["wet_colors"] else "no"
-        table.add_row(row["name"], row["kind"], f"{row['gaussians']:,}", str(row["sh_degree"]), wet, *corners, size)
-    console.print(table)
+        about = row["name"], row["kind"], row["gaussians"], row["sh_degree"], bool(row["wet_colors"])
+        rows.append((*about, *corners, row["memory_bytes"] / 2**20))
+    print_lines(Table("Members", titled, rows).text)
 
 
 def count_flagged(members: Sequence[Layer | Actor]) -> dict[str, int]:
@@ -314,21 +316,24 @@ def _print_capture(summary: CaptureSummary, kind: str, checks: tuple[PoseCheck, 
         console.print(f"each view has: {', '.join(summary.has)}")
     for name, counts in summary.attributes.items():
         console.print(f"{name}: {', '.join(f'{value} ({count})' for value, count in counts.items())}")
-    table = table_of("camera,views,size,focal length px,field of view,lens")
+    rows: list[tuple[Cell, ...]] = []
     for each in summary.sensors:
         size = f"{each.width}x{each.height}"
         if each.sizes > 1:
             (a, b), (c, d) = each.smallest_px, each.largest_px
             size = f"{a}x{b} to {c}x{d} ({each.sizes} sizes)"
         focal, fov = f"{each.focal_px[0]:.1f} {each.focal_px[1]:.1f}", f"{each.horizontal_fov_deg:.1f} deg"
-        table.add_row(each.name or "-", str(each.views), size, focal, fov, each.lens.partition(" ")[0] or "straight")
-    console.print(table)
+        rows.append((each.name or "-", each.views, size, focal, fov, each.lens.partition(" ")[0] or "straight"))
+    print_lines(Table("Cameras", columns(_CAMERA_COLUMNS), rows).text)
     for each in checks:
         console.print(f"{each.verdict}: {each.told}")
     if checked and not checks and summary.has_poses:
         console.print("poses: nothing to check them by (no lidar, and no neighboring views that share enough)")
     for problem in summary.problems:
         console.print(f"problem: {problem}")
+
+
+_CAMERA_COLUMNS = "camera", "views", "size", "focal length px", "field of view", "lens"
 
 
 def _places(summary: CaptureSummary) -> str:

@@ -4,24 +4,24 @@ import shlex
 import signal
 import sys
 import time
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Generator, Sequence
 from contextlib import ExitStack, closing, contextmanager
-from pathlib import Path, PurePath
+from pathlib import Path
 from typing import Annotated, Any
 
 import msgspec
 
+from gsrain_engine.report.table import Table
 from gsrain_engine.safe_io.errors import MissingInputsError
 from gsrain_engine.sweep.executors import DaskCluster, Executor, LocalPool, SerialExecutor
 from gsrain_engine.sweep.expansion import Shard, jobs_of
 from gsrain_engine.sweep.report import write_tables
 from gsrain_engine.sweep.results import SweepFolder
 from gsrain_engine.sweep.run import SweepRun, agent_codes, missing_clients, run_sweep
-from gsrain_engine.sweep.settings import DriveSweep, Variant, load_sweep, sweep_names
+from gsrain_engine.sweep.settings import DriveSweep, load_sweep, sweep_names
 from gsrain_engine.trusted_code import check_trusted
 
-from .console import Console, counted, print, run_with_progress, table_of
-from .evaluate.attribution import print_shares
+from .console import counted, print, print_lines, run_with_progress
 from .options import JsonFile, Trust, check_within, converted_options, flag, option, options_of, split_words, with_trust
 from .outputs import check_writable, lock_outputs, write_numbers
 
@@ -89,9 +89,10 @@ def sweep(
         summarize = shlex.join(["gsrain", "sweep", sweep, "-o", str(folder.path), "--summarize-only"])
         print(f"share {shard} is done; when all are: {summarize}")
     else:
-        numbers |= write_tables(folder, settings, jobs)
+        summary, tables = write_tables(folder, settings, jobs)
+        numbers |= summary
         failed = numbers["failed"]
-        _print(folder, numbers)
+        _print(folder, numbers, tables)
     write_numbers(json, numbers | {"seconds": time.perf_counter() - started})
     return SOME_FAILED if failed else 0
 
@@ -129,13 +130,10 @@ def _sigterm_as_ctrl_c() -> Generator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-def _print(folder: SweepFolder, numbers: dict[str, Any]) -> None:
-    if numbers["cells"]:
-        print_cells(numbers["cells"])
-    if shares := numbers.get("attribution"):
-        print_shares(
-            shares, [name for name in ("scene", "scenario", "agent") if name in shares[0]], Console(width=_COLUMNS)
-        )
+def _print(folder: SweepFolder, numbers: dict[str, Any], tables: Sequence[Table]) -> None:
+    for table in tables:
+        print(f"{table.title}:")
+        print_lines(f"{table.text}\n")
     done = numbers["rows"] - numbers["failed"]
     print(f"{folder.path}: {done} of {counted(numbers['jobs'], 'job')} finished, {numbers['failed']} failed")
     for error, count in numbers["errors"].items():
@@ -145,44 +143,3 @@ def _print(folder: SweepFolder, numbers: dict[str, Any]) -> None:
     further = ", figures" if numbers["cells"] else ""
     further += ", attribution.png, attribution.csv, attribution_drives.csv" if numbers.get("attribution") else ""
     print(f"wrote table.parquet, table.csv, summary.json, report.html{further}")
-
-
-# Table of drives, a row per agent and intensity
-
-_COLUMNS = 160
-
-_COLUMN_TITLES = {
-    "min_ttc_s": "min TTC (s)",
-    "planned_point_collision_rate": "C (points)",
-    "comfort_executed": "S (driven)",
-}
-
-
-def print_cells(cells: Sequence[Mapping[str, Any]]) -> None:
-    several = len({cell["scene"] for cell in cells}) > 1
-    right = ",".join(("R (mm/h),drives,collisions", *_COLUMN_TITLES.values()))
-    table = table_of("scene,scenario,agent" if several else "scenario,agent", right, pad_edge=False)
-    for cell in cells:
-        rate, failed = cell["collision_rate"], f" + {cell['failed']} failed" if cell["failed"] else ""
-        collisions = "-"
-        if rate is not None:
-            collisions = f"{cell['collisions']} ({100 * rate['low']:.0f} to {100 * rate['high']:.0f} %)"
-        scene = [PurePath(cell["scene"]).name] if several else []
-        means = (_mean(cell["means"].get(name)) for name in _COLUMN_TITLES)
-        drives = f"{cell['intensity_mm_h']:g}", f"{cell['runs']}{failed}", collisions
-        table.add_row(*scene, cell["scenario"], _title(cell), *drives, *means)
-    console = Console(width=_COLUMNS)
-    console.print(table)
-    console.print("In brackets: intervals of 95 %, over the seeds.", style="dim")
-
-
-def _title(cell: Mapping[str, Any]) -> str:
-    variant = msgspec.convert(cell["variant"], Variant)
-    return ", ".join(filter(None, [cell["agent"], variant.title]))
-
-
-def _mean(spread: Mapping[str, float] | None) -> str:
-    if spread is None:
-        return "-"
-    mean, low, high = (f"{spread[name]:.3g}" for name in ("mean", "low", "high"))
-    return mean if low == high else f"{mean} ({low} to {high})"

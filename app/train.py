@@ -9,14 +9,15 @@ from gsrain_engine.datasets.capture import Capture
 from gsrain_engine.datasets.image_override import with_images
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.editor.jobs.training import require_torch
-from gsrain_engine.evaluation.report import write_report
 from gsrain_engine.recolor.problem import RecolorSettings
 from gsrain_engine.recolor.recolor import RecolorOptions, recolor_to_capture
+from gsrain_engine.report.page import write_report
+from gsrain_engine.report.table import Table, columns
 from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.scene.open import load_scene
 from gsrain_engine.training.settings import TrainingSettings, load_settings, settings_names
 
-from .console import Console, Table, print, run_with_progress
+from .console import Console, print, print_lines, run_with_progress
 from .options import (
     AllowOutside,
     JsonFile,
@@ -82,13 +83,13 @@ def reconstruct(
 
 def _print(result: Any) -> None:
     console = _console(result.capture)
-    table = Table("view", "PSNR dB", "exposed", "SSIM", "LPIPS", box=None)
-    for kind, scores in (("held out", result.held_out), ("learned from", result.learned)):
-        for each in scores:
-            lpips = "-" if each.lpips is None else f"{each.lpips:.3f}"
-            values = f"{each.psnr_db:.2f}", f"{each.psnr_exposed_db:.2f}", f"{each.ssim:.3f}", lpips
-            table.add_row(f"{each.name}, {kind}", *values)
-    console.print(table)
+    titled = columns({"view": "", "PSNR dB": ".2f", "exposed": ".2f", "SSIM": ".3f", "LPIPS": ".3f"})
+    rows = [
+        (f"{each.name}, {kind}", each.psnr_db, each.psnr_exposed_db, each.ssim, each.lpips)
+        for kind, scores in (("held out", result.held_out), ("learned from", result.learned))
+        for each in scores
+    ]
+    print_lines(Table("Views", titled, rows).text)
     console.print(f"Own body: {result.own_body.line}")
     _print_held_out(console, result.numbers, (
         "({psnr_before_db:.2f} dB before training); {psnr_held_out_exposed_db:.2f} dB on their right halves, "
@@ -154,10 +155,14 @@ def recolor(
 
 def _print_recolor(run: Any, images: Capture) -> None:
     console = _console(images)
-    table = Table("view", "clear dB", "mapped dB", "recoloured dB", "trust", box=None)
-    for view in run.recolored.views:
-        figures = [f"{each:.2f}" for each in (view.psnr_clear_db, view.psnr_mapped_db, view.psnr_db)]
-        table.add_row(view.name, *figures, "held out" if view.is_held_out else f"{view.trust:.2f}")
-    console.print(table)
+    titled = {"view": "", "clear dB": ".2f", "mapped dB": ".2f", "recoloured dB": ".2f", "trust": ""}
+    rows = [
+        (
+            view.name, view.psnr_clear_db, view.psnr_mapped_db, view.psnr_db,
+            "held out" if view.is_held_out else f"{view.trust:.2f}",
+        )
+        for view in run.recolored.views
+    ]  # fmt: skip
+    print_lines(Table("Views", columns(titled), rows).text)
     comparison = "({psnr_before_db:.2f} dB clear, {psnr_mapped_db:.2f} dB after the color map), in {seconds:.1f} s"
     _print_held_out(console, run.numbers, comparison)

@@ -37,10 +37,11 @@ from gsrain_engine.editor.jobs.training import train_transfer as work
 from gsrain_engine.rain.settings import HEAVIEST_MM_H
 from gsrain_engine.rain.wetness import wetness
 from gsrain_engine.render.images import write_image
+from gsrain_engine.report.table import Table, columns
 from gsrain_engine.safe_io.errors import MissingInputsError
 from gsrain_engine.scene.open import load_scene
 
-from .console import Console, Table, print, progress_bar, run_with_progress
+from .console import Console, print, print_lines, progress_bar, run_with_progress
 from .options import (
     AllowOutside,
     JsonFile,
@@ -261,14 +262,11 @@ def train_transfer(
 
 def _print(result: FinetuneResult) -> None:
     console = Console(width=_COLUMNS, highlight=False)
-    images = Table("pictures", "look", "in all", "for testing", box=None)
-    for row in result.table:
-        images.add_row(*map(str, row))
-    console.print(images)
-    losses = Table("loss", "mean of the last 100 iterations", box=None)
-    for name, value in result.losses.items():
-        losses.add_row(name.replace("_", ", "), f"{value:.4f}")
-    console.print(losses)
+    images = Table("Pictures", columns(("pictures", "look", "in all", "for testing")), result.table)
+    named = [(name.replace("_", ", "), value) for name, value in result.losses.items()]
+    losses = Table("Losses", columns({"loss": "", "mean of the last 100 iterations": ".4f"}), named)
+    for table in (images, losses):
+        print_lines(f"{table.text}\n")
     if not result.perceptual:
         console.print("Trained without LPIPS: its weights are missing, or its losses are set to 0.")
     if result.warning is not None:

@@ -117,7 +117,7 @@ def check_wet(out, printed):
 
 def check_custom_agent(out, printed):
     collided = {line.split()[1]: line.split()[3] for line in printed.splitlines() if line.startswith("stationary-lead")}
-    assert collided == {"constant-velocity": "Yes", "two-seconds": "No"}
+    assert collided == {"constant-velocity": "yes", "two-seconds": "no"}
     assert len(list(out.glob("*.jsonl"))) == 2
 
 

@@ -5,7 +5,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from itertools import islice
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TextIO
 
 import numpy as np
 from jaxtyping import UInt8
@@ -23,12 +23,13 @@ from gsrain_engine.evaluation.consistency import (
     warped_pair,
 )
 from gsrain_engine.evaluation.consistency_sheet import SheetPair, consistency_sheet
-from gsrain_engine.evaluation.report import ReportFigure, ReportTable, RunReport, input_fingerprint
 from gsrain_engine.render.images import write_image
+from gsrain_engine.report.page import ReportFigure, RunReport, input_fingerprint
+from gsrain_engine.report.table import Cell, Table, columns
 from gsrain_engine.safe_io.errors import MissingInputsError
 from gsrain_engine.scene.open import file_hash
 
-from ..console import Console, bold, print, progress_bar, table_of
+from ..console import print, print_lines, progress_bar
 from ..options import AllowOutside, JsonFileOrScreen, check_within, let_names_lead_outside, option
 from ..outputs import (
     check_image,
@@ -42,8 +43,6 @@ from ..outputs import (
 )
 from ..scene import missing_source
 from .images import LpipsChoice, Report, open_lpips
-
-_COLUMNS = 150
 
 
 def consistency(
@@ -97,7 +96,7 @@ def consistency(
                 raise ValueError(f"{each.folder}: neighboring views match in too few pixels to be compared")
             results.append(rows)
     numbers = report_of(compared, results, water_film)
-    print_agreements(numbers, [each.title for each in compared], Console(file=table_stream(json), width=_COLUMNS))
+    print_agreements(numbers, [each.title for each in compared], table_stream(json))
     inputs = {str(folder): input_fingerprint(folder) for folder in folders}
     if lpips and Path(lpips).is_file():
         inputs[f"LPIPS {lpips}"] = file_hash(Path(lpips))
@@ -174,28 +173,35 @@ def _numbers(agreement: WarpAgreement | None) -> dict[str, Any]:
     return finite_numbers(numbers)
 
 
-def print_agreements(numbers: Mapping[str, Any], titles: Sequence[str], console: Console) -> None:
-    """Print the numbers of `report_of`: the pairs of each folder, below its title, and their means."""
-    with_lpips = any(row["lpips_after"] is not None for row in numbers["rows"])
-    columns = "view,neighbour,matched,before,after,ratio,per contrast,dry,dry before,dry after,dry ratio"
-    table = table_of(columns + ",LPIPS before,after,ratio" * with_lpips, wraps=True)
+def print_agreements(numbers: Mapping[str, Any], titles: Sequence[str], file: TextIO) -> None:
+    """Print the numbers of `report_of`: for each folder the worst pairs, and the means of all."""
     rows = iter(numbers["rows"])
     for title, mean in zip(titles, numbers["means"], strict=True):
-        table.add_section()
-        table.add_row(bold(title))
         own = list(islice(rows, mean["pairs"]))
-        is_long = len(own) > _MAX_ROWS
-        for row in sorted(own, key=lambda row: -row["rmse_after"])[:_MAX_ROWS] if is_long else own:
-            table.add_row(row["of"], row["to"], f"{row['matched_share']:.0%}", *_cells(row, with_lpips))
-        words = f"mean of {len(own)} pairs" + (f", above the {_MAX_ROWS} worst" if is_long else "")
-        table.add_row(bold(words), "", "", *_cells(mean, with_lpips))
-    console.print(table)
-    console.print(
-        "Errors of the neighbor warped onto the view, in levels of 255; dry: share of the matched pixels that lies "
-        "outside the water film, and the errors there."
-    )
+        shown = sorted(own, key=lambda row: -row["rmse_after"])[:_MAX_ROWS] if len(own) > _MAX_ROWS else own
+        words = f"mean of {len(own)} pairs" + (f", above the {_MAX_ROWS} worst" if len(own) > _MAX_ROWS else "")
+        table = agreement_table(
+            title, ("view", "neighbour"), [((row["of"], row["to"]), row) for row in shown], [((words, ""), mean)]
+        )
+        print(f"{title}:", file=file)
+        print_lines(f"{table.text}\n", file=file)
     if note := _without_film(numbers, titles):
-        console.print(note, soft_wrap=True)
+        print(note, file=file)
+
+
+_Row = tuple[tuple[Cell, ...], Mapping[str, Any]]
+"""First cells of a row, and its numbers as in `report_of`."""
+
+
+def agreement_table(title: str, named: Sequence[str], rows: Sequence[_Row], foot: Sequence[_Row] = ()) -> Table:
+    """Return a table of agreements, with LPIPS if any row has it."""
+    measured = {"matched": ".0%", "before": ".2f", "after": ".2f", "ratio": ".2f", "per contrast": ".2f", "dry": ".0%",
+                "dry before": ".2f", "dry after": ".2f", "dry ratio": ".2f"}  # fmt: skip
+    if any(row.get("lpips_after") is not None for _, row in rows):
+        measured |= {"LPIPS before": ".3f", "LPIPS after": ".3f", "LPIPS ratio": ".2f"}
+    cells = [[*first, *_cells(row)[: len(measured)]] for first, row in (*rows, *foot)]
+    titled = *columns(named), *columns(measured)
+    return Table(title, titled, cells[: len(rows)], _CAPTION, foot=cells[len(rows) :])
 
 
 def _without_film(numbers: Mapping[str, Any], titles: Sequence[str]) -> str:
@@ -212,31 +218,27 @@ def film_note(names: Sequence[str]) -> str:
     )
 
 
-def _cells(row: Mapping[str, Any], with_lpips: bool) -> list[str]:
-    before, after, ratio, per_contrast, lpips_before, lpips_after, *dry = _page_cells(row)
-    dry_pixels = row["outside_film"]["pixels"]
-    share = f"{dry_pixels / row['pixels']:.0%}" if dry_pixels else ""
-    cells = [*map(_text, (before, after, ratio, per_contrast)), share, *map(_text, dry)]
-    if with_lpips:
-        cells += [_text(lpips_before, 3), _text(lpips_after, 3), _text(row["lpips_ratio"])]
-    return cells
+def _cells(row: Mapping[str, Any]) -> list[Cell]:
+    dry = row["outside_film"]
+    levels = [_scaled(each.get(name), _LEVELS) for each in (row, dry) for name in ("rmse_before", "rmse_after")]
+    share = dry["pixels"] / row["pixels"] if dry["pixels"] else None
+    return [
+        row.get("matched_share"), *levels[:2], row.get("ratio"), row.get("contrast_ratio"), share, *levels[2:],
+        dry.get("ratio"), row.get("lpips_before"), row.get("lpips_after"), row.get("lpips_ratio"),
+    ]  # fmt: skip
 
 
-def _text(value: float | None, digits: int = 2) -> str:
-    return "" if value is None else f"{value:.{digits}f}"
+def _scaled(value: float | None, factor: float) -> float | None:
+    return None if value is None else factor * value
 
 
 # HTML page
 
 _CAPTION = (
     "Root mean square errors of a neighbor warped onto the view, in levels of 255. ratio: after over before; per "
-    "contrast: each divided by its picture's contrast first; dry: outside the water film, which moves with the eye."
+    "contrast: each divided by its picture's contrast first; dry: share of the matched pixels outside the water film, "
+    "which moves with the eye, and the errors there."
 )
-
-_PAGE_COLUMNS = (
-    "before", "after", "ratio", "per contrast", "LPIPS before", "LPIPS after", "dry before", "dry after", "dry ratio"
-)  # fmt: skip
-_NUMBERS = ("rmse_before", "rmse_after", "ratio", "contrast_ratio", "lpips_before", "lpips_after")
 
 
 def consistency_page(
@@ -244,8 +246,8 @@ def consistency_page(
 ) -> RunReport:
     """Lay out the page; `numbers` are those of `--json`, `sheet` shows some pairs."""
     means, rows = numbers["means"], numbers["rows"]
-    folders = tuple((_name(each), each["pairs"], *_page_cells(each)) for each in means)
-    pairs = tuple((_name(row), row["of"], row["to"], row["matched_share"], *_page_cells(row)) for row in rows)
+    folders = [((_name(each), each["pairs"]), each) for each in means]
+    pairs = [((_name(row), row["of"], row["to"]), row) for row in rows]
     made_by = {f"made by, {_name(each)}": str(each["settings"]) for each in means if each["settings"]}
     return RunReport(
         title="Agreement of neighboring views",
@@ -254,17 +256,11 @@ def consistency_page(
         figures=(ReportFigure("Pairs, warped", sheet, is_photograph=True),),
         notes=tuple(filter(None, [_without_film(numbers, [_name(each) for each in means])])),
         tables=(
-            ReportTable("Means", ("folder", "pairs", *_PAGE_COLUMNS), folders, caption=_CAPTION),
-            ReportTable("Pairs", ("folder", "view", "neighbour", "matched", *_PAGE_COLUMNS), pairs, caption=_CAPTION),
+            agreement_table("Means", ("folder", "pairs"), folders),
+            agreement_table("Pairs", ("folder", "view", "neighbour"), pairs),
         ),
     )
 
 
 def _name(row: Mapping[str, Any]) -> str:
     return f"{row['folder']} ({row['method']})" if row["method"] else str(row["folder"])
-
-
-def _page_cells(row: Mapping[str, Any]) -> list[float | None]:
-    values = [(name, row.get(name)) for name in _NUMBERS]
-    values += [(name, row["outside_film"].get(name)) for name in ("rmse_before", "rmse_after", "ratio")]
-    return [_LEVELS * value if value is not None and name.startswith("rmse") else value for name, value in values]

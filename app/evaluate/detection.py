@@ -2,7 +2,7 @@
 
 import re
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from importlib.util import find_spec
@@ -32,9 +32,9 @@ from gsrain_engine.evaluation.attribution.results import (
     OVER,
     Attribution,
     method_of,
+    seed_table,
     share_figure,
     share_table,
-    write_share_csv,
 )
 from gsrain_engine.evaluation.detection import run as evaluation
 from gsrain_engine.evaluation.detection import summary
@@ -43,6 +43,7 @@ from gsrain_engine.evaluation.detection.attribution import (
     RainAttribution,
     drop_size_figure,
     drop_size_scores,
+    drop_size_table,
     rain_attributions,
     size_variant,
 )
@@ -51,7 +52,6 @@ from gsrain_engine.evaluation.detection.drawing import draw_truths
 from gsrain_engine.evaluation.detection.figures import detection_sheet, figure_pixels, object_figure, precision_figure
 from gsrain_engine.evaluation.detection.ground_truth import MIN_HEIGHT_PX, MIN_VISIBILITY, read_coco
 from gsrain_engine.evaluation.detection.metrics import Robustness
-from gsrain_engine.evaluation.report import ReportFigure, ReportTable, RunReport, input_fingerprint, write_report
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.simulation import OVERCAST
 from gsrain_engine.render.images import write_image
@@ -60,12 +60,14 @@ from gsrain_engine.render.sequence import find_rig_cameras
 from gsrain_engine.render.sky_color import SkyColor, sky_color
 from gsrain_engine.render.video import SUFFIXES as VIDEO_SUFFIXES
 from gsrain_engine.render.video import VideoWriter
+from gsrain_engine.report.page import ReportFigure, RunReport, input_fingerprint, write_report
+from gsrain_engine.report.table import Table
 from gsrain_engine.safe_io.errors import MissingInputsError
 from gsrain_engine.safe_io.limits import file_sha256
 from gsrain_engine.scene.open import file_hash, load_sorted_scene, scene_hash
 from gsrain_engine.scene.scene import Scene
 
-from ..console import Console, print, progress_bar, table_of
+from ..console import print, print_lines, progress_bar
 from ..options import (
     BACKEND,
     AllowOutside,
@@ -86,9 +88,7 @@ from ..options import (
 from ..outputs import check_ending, claim_outputs, command_line, finite_numbers, version_of, write_numbers
 from ..render import rainy_light
 from ..scene import missing_source, names_scene
-from .attribution import print_shares
 
-_COLUMNS = 150
 ViewOptions = options_of(
     ViewChoice, "evaluate detection", defaults={"sensors": "the one ahead; of a capture, all", "width_px": "960"}
 )
@@ -207,11 +207,10 @@ def detection(
         shares=[share for part in parts for share in part.attributed(collector.results)],
         drop_sizes=drop_size_scores(collector.results, prepared.pictures.rain, sizes) if len(sizes) > 1 else [],
     )
-    print_scores(numbers.scores, Console(width=_COLUMNS))
-    if numbers.shares:
-        print_shares(numbers.plain["attribution"], ("detector",), Console(width=_COLUMNS))
-    if numbers.drop_sizes:
-        print_drop_sizes(numbers.drop_sizes, Console(width=_COLUMNS))
+    own = [each for each in numbers.shares if each.measure.object is None]  # the page has those of each object
+    for table in _tables(replace(numbers, shares=own, distances=[])):
+        print(f"{table.title}:")
+        print_lines(f"{table.text}\n")
     for sentence in detector_notes(numbers):
         print(sentence)
     if video is not None:
@@ -417,41 +416,6 @@ def detector_notes(numbers: DetectionNumbers) -> list[str]:
     ]
 
 
-def print_scores(scored: Sequence[summary.ScoreByIntensity], console: Console) -> None:
-    """Print one line for each detector and condition: means over seeds, and the lowest and highest seed."""
-    columns = f"objects,confidence,change,recall@{summary.FOUND_FROM:g},IoU,flips,mAP50,mAP"
-    table = table_of("detector,picture,mm/h", columns, wraps=True)
-    for each in scored:
-        table.add_row(
-            each.detector, each.picture, f"{each.intensity_mm_h:g}", str(each.objects),
-            f"{each.confidence.mean:.3f} ({each.confidence.low:.3f}..{each.confidence.high:.3f})",
-            "" if each.change is None else _change(each.change.mean, each.change.low, each.change.high),
-            f"{each.recall.mean:.0%}", f"{each.iou.mean:.2f}", f"{each.flips.mean:.0%}",
-            f"{each.map50.mean:.3f}", f"{each.map.mean:.3f}",
-        )  # fmt: skip
-    console.print(table)
-    console.print(
-        "Means over objects and seeds, misses as 0 (lowest..highest seed); change from without rain, 95 % over seeds."
-    )
-
-
-def print_drop_sizes(scores: Sequence[DropSizeScore], console: Console) -> None:
-    """Print one line for each detector, rain rate and scale of the diameters."""
-    columns = f"diameters x,mean mm,drops/m³,confidence,change,recall@{summary.FOUND_FROM:g}"
-    table = table_of("detector,mm/h", columns, wraps=True)
-    for each in scores:
-        table.add_row(
-            each.detector, f"{each.intensity_mm_h:g}", f"{each.diameter_scale:g}", f"{each.mean_diameter_mm:.2f}",
-            f"{each.drops_per_m3:,.0f}", f"{each.confidence.mean:.3f}",
-            _change(each.change.mean, each.change.low, each.change.high), f"{each.recall.mean:.0%}",
-        )  # fmt: skip
-    console.print(table)
-
-
-def _change(mean: float, low: float, high: float) -> str:
-    return f"{mean:+.3f}" if low != low else f"{mean:+.3f} ({low:+.3f}..{high:+.3f})"
-
-
 # Tables, figures, report and video
 
 _SAMPLES = 4  # number of views in the report
@@ -545,7 +509,7 @@ def write_outputs(
     }
     figures = _attribution_figures(numbers, steps) | figures
     if numbers.shares:
-        write_share_csv(folder / "attribution.csv", numbers.shares)
+        seed_table(numbers.shares).write_csv(folder / "attribution.csv")
         written.append("attribution.csv")
     caption = "Full lines: found. Dashed: labelled, red where it was missed."
     for number, sample in enumerate(samples):
@@ -562,14 +526,14 @@ def _attribution_figures(numbers: DetectionNumbers, steps: _Sheet | None) -> dic
     if numbers.shares:
         every = [each for each in numbers.shares if each.measure.object is None]
         figures["attribution.png"] = ReportFigure(
-            "Shares of the factors", share_figure(every), method_of(every[0].plain) + OVER
+            "Shares of the factors", share_figure(every), method_of(every[0]) + OVER
         )
     if steps is not None:
         added = "The heaviest rain with the first seed, while its factors are added one by one."
         figures["attribution_steps.png"] = ReportFigure("Factors of the rain", steps, added, is_photograph=True)
     if numbers.drop_sizes:
         pixels = drop_size_figure(numbers.drop_sizes)
-        words = "At equal mm/h: larger drops are fewer. Student's intervals, 95 %, over the seeds."
+        words = "At equal mm/h: larger drops are fewer. Intervals: bootstrap over objects and rain seeds, 95 %."
         figures["drop_sizes.png"] = ReportFigure("Drop sizes", pixels, words)
     return figures
 
@@ -588,70 +552,19 @@ def _report(numbers: DetectionNumbers, figures: list[ReportFigure]) -> RunReport
         settings={name: _output_words(value) for name, value in settings.items()},
         figures=tuple(figures),
         notes=tuple(detector_notes(numbers)),
-        tables=(
-            *([share_table(numbers.shares)] if numbers.shares else []),
-            *([_size_table(numbers.drop_sizes)] if numbers.drop_sizes else []),
-            _scores_table(numbers),
-            _distance_table(numbers),
-        ),
+        tables=tuple(_tables(numbers)),
         headlines=headlines,
     )
 
 
-def _scores_table(numbers: DetectionNumbers) -> ReportTable:
-    return ReportTable(
-        "Scores",
-        ("detector", "picture", "mm/h", "objects", "confidence", "lowest seed", "highest seed", "change", "95 % from",
-         "95 % to", "IoU", "recall", "flips", "mAP50", "mAP"),
-        tuple(
-            (
-                each.detector, each.picture, f"{each.intensity_mm_h:g}", each.objects,
-                each.confidence.mean, each.confidence.low, each.confidence.high,
-                *((None, None, None) if each.change is None else (each.change.mean, each.change.low, each.change.high)),
-                each.iou.mean, each.recall.mean, each.flips.mean, each.map50.mean, each.map.mean,
-            )
-            for each in numbers.scores
-        ),
-        caption="Means over objects and seeds, misses counted as 0. Change: of the confidence from the same views "
-        "without rain, paired by seed, with Student's interval over the seeds: it tells how much drops matter, not how "
-        "other streets would fare.",
-    )  # fmt: skip
-
-
-def _distance_table(numbers: DetectionNumbers) -> ReportTable:
-    return ReportTable(
-        "Recall by distance",
-        ("detector", "picture", "mm/h", "distance (m)", "objects", "found", "recall", "95 % from", "95 % to"),
-        tuple(
-            (
-                each.detector, each.picture, f"{each.intensity_mm_h:g}",
-                f"{each.recall.from_m:g} to {each.recall.to_m:g}", each.recall.objects, each.recall.found,
-                each.recall.recall, *each.recall.interval,
-            )
-            for each in numbers.distances
-        ),
-        caption="Wilson's interval; frames of one drive and seeds of one view are not independent, it is too narrow.",
-    )  # fmt: skip
-
-
-def _size_table(scores: Sequence[DropSizeScore]) -> ReportTable:
-    return ReportTable(
-        "Drop sizes",
-        (
-            "detector", "mm/h", "diameters x", "mean diameter (mm)", "drops per m3", "extinction (1/km)", "confidence",
-            "recall", "change", "95 % from", "95 % to",
-        ),
-        tuple(
-            (
-                each.detector, f"{each.intensity_mm_h:g}", f"{each.diameter_scale:g}", each.mean_diameter_mm,
-                each.drops_per_m3, 1000 * each.extinction_per_m, each.confidence.mean, each.recall.mean,
-                each.change.mean, each.change.low, each.change.high,
-            )
-            for each in scores
-        ),
-        caption="Rain of equal mm/h whose diameters are multiplied. Change: of the confidence from the scene without "
-        "rain, paired by seed, with Student's interval over the seeds.",
-    )  # fmt: skip
+def _tables(numbers: DetectionNumbers) -> Iterator[Table]:
+    yield summary.scores_table(numbers.scores)
+    if numbers.shares:
+        yield share_table(numbers.shares)
+    if numbers.drop_sizes:
+        yield drop_size_table(numbers.drop_sizes)
+    if numbers.distances:
+        yield summary.distance_table(numbers.distances)
 
 
 def _output_words(value: Any) -> object:

@@ -3,9 +3,9 @@
 import logging
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import fields
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TextIO
 
 import numpy as np
 from jaxtyping import Bool, UInt8
@@ -19,27 +19,27 @@ from gsrain_engine.evaluation.fid import (
     EXTRACTORS,
     DistributionDistance,
     FeatureCache,
-    Interval,
     distribution_distance,
     extract_features,
     image_hash,
     open_extractor,
 )
 from gsrain_engine.evaluation.fid_features import Extractor, ExtractorChoice
-from gsrain_engine.evaluation.image_metrics import CONFIDENCE, ImageDistance, MeanInterval, check_pair, mean_interval
+from gsrain_engine.evaluation.image_metrics import ImageDistance, check_pair, compare_images
 from gsrain_engine.evaluation.lpips_weights import ARRAY_SUFFIXES, read_lpips_weights, write_arrays
-from gsrain_engine.evaluation.report import ReportTable, RunReport, input_fingerprint
-from gsrain_engine.evaluation.report_charts import ImageComparison
+from gsrain_engine.report.charts import ImageComparison
+from gsrain_engine.report.interval import CONFIDENCE, Interval
+from gsrain_engine.report.page import RunReport, input_fingerprint
+from gsrain_engine.report.table import Column, Table, columns
 from gsrain_engine.safe_io.limits import file_sha256
 
 from .. import outputs
-from ..console import Console, Table, bold, print, progress_bar
+from ..console import print, print_lines, progress_bar
 from ..options import AllowOutside, JsonFileOrScreen, check_within, flag, let_names_lead_outside, option
 
 LpipsChoice = Annotated[str | None, option("LPIPS too: alex, vgg (slower), or a file of weights.")]
 FeatureDevice = Annotated[Literal["cpu", "cuda"], option("Device on which torch computes features.")]
 Report = Annotated[Path | None, option("Also write an HTML page, with the numbers as JSON next to it.")]
-_COLUMNS = 120
 _MAX_ROWS = 40
 Mask = Bool[np.ndarray, "h w"]
 Image = UInt8[np.ndarray, "h w 3"]
@@ -78,10 +78,9 @@ def images(
             hashes.append((image_hash(pictures[0]), image_hash(pictures[1])))
             shares.append(1.0 if mask is None else float(mask.mean()))
             advance()
-    columns = {name: [getattr(row, name) for row in rows] for name in ("psnr_db", "ssim", "lpips")}
-    columns = {name: values for name, values in columns.items() if None not in values}
-    means = {name: mean_interval(values, seed) for name, values in columns.items()}
-    _print(rows, means, Console(file=outputs.table_stream(json), width=_COLUMNS))
+    values = {name: [getattr(row, name) for row in rows] for name in ("psnr_db", "ssim", "lpips")}
+    means = {name: Interval.bootstrap(own, "pictures", seed) for name, own in values.items() if None not in own}
+    _print(rows, means, outputs.table_stream(json))
     if left_out:
         print(f"{left_out} pictures have no other of their name, and are left out", file=sys.stderr)
     settings = {"pictures": str(shown), "truth": str(truth), "lpips": lpips, "seed": seed, "left_out": left_out}
@@ -94,7 +93,7 @@ def images(
         {"name": row.name, "psnr_db": row.psnr_db, "ssim": row.ssim, "lpips": row.lpips, "compared_share": share}
         for row, share in zip(rows, shares, strict=True)
     ]
-    plain_means = {name: each._asdict() for name, each in means.items()}
+    plain_means = {name: each.plain for name, each in means.items()}
     numbers = outputs.finite_numbers({**settings, **facts, "means": plain_means, "rows": plain_rows})
     outputs.write_numbers(json, numbers)
     if report is not None:
@@ -140,32 +139,24 @@ def _compared(
     a, b = (picture.astype(np.float32) / np.float32(255) for picture in (shown, truth))
     try:
         check_pair(a.shape, b.shape, None if mask is None else mask.shape)
-        return ImageComparison.measured(name, a, b, mask, distance)
+        return compare_images(name, a, b, mask, distance)
     except ValueError as error:
         raise ValueError(f"{name}: {error}") from None
 
 
-def _print(rows: Sequence[ImageComparison], means: dict[str, MeanInterval], console: Console) -> None:
-    titles = {"psnr_db": "PSNR dB", "ssim": "SSIM", "lpips": "LPIPS"}
-    table = Table("picture", *(titles[name] for name in means), box=None)
-    for row in rows if len(rows) <= _MAX_ROWS else sorted(rows, key=lambda row: row.psnr_db)[:_MAX_ROWS]:
-        cells = [f"{row.psnr_db:.2f}", f"{row.ssim:.4f}", *([] if row.lpips is None else [f"{row.lpips:.4f}"])]
-        table.add_row(row.name, *cells)
+def _print(rows: Sequence[ImageComparison], means: dict[str, Interval], file: TextIO) -> None:
+    titles = {"psnr_db": Column("PSNR", ".2f", "dB"), "ssim": Column("SSIM", ".4f"), "lpips": Column("LPIPS", ".4f")}
+    shown = rows if len(rows) <= _MAX_ROWS else sorted(rows, key=lambda row: row.psnr_db)[:_MAX_ROWS]
     title = f"mean of {len(rows)}" + (f", above the {_MAX_ROWS} worst" if len(rows) > _MAX_ROWS else "")
-    table.add_row(bold(title), *(bold(f"{each.mean:.4g}") for each in means.values()))
-    table.add_row("95 % of such means", *(f"{each.low:.4g} to {each.high:.4g}" for each in means.values()))
-    console.print(table)
+    cells = [(row.name, *(getattr(row, name) for name in means)) for row in shown]
+    table = Table("Pictures", (Column("picture"), *(titles[name] for name in means)), cells,
+                  foot=[(title, *means.values())])  # fmt: skip
+    print_lines(table.text, file=file)
 
 
 # FID and KID
 
-_FID_COLUMNS = 200
 _RESAMPLES, _MANY, _MIN_DEFAULT = 200, 500, 40  # for many images each resample takes seconds, and the values vary less
-
-_CAPTION = (
-    "low and high: ends of the 95 % interval over pictures drawn again. same: what the distance would be of two sets "
-    "so large of one distribution, for want of pictures alone."
-)
 
 _log = logging.getLogger(__name__)
 
@@ -212,7 +203,10 @@ def fid(
     times = resamples or max(_RESAMPLES * _MANY // max(largest, _MANY), _MIN_DEFAULT)
     hashes: dict[str, str] = {}
     rows = [row for each in extractors for row in _rows(each, sets, features, times, seed, hashes)]
-    _print_fid(rows, Console(file=outputs.table_stream(json), width=_FID_COLUMNS))
+    print_lines(distances_table(rows).text, file=outputs.table_stream(json))
+    for row in rows:
+        for warning in row.warnings:
+            print(f"{_short(row.fake)}, {row.metric}: {warning}.", file=outputs.table_stream(json))
     settings = {"resamples": times, "seed": seed, "confidence": CONFIDENCE}
     facts = outputs.run_provenance(hashes, ("torch", "onnxruntime"))
     numbers = {**settings, **facts, "rows": [_fid_numbers(row) for row in rows]}
@@ -255,25 +249,24 @@ def _rows(
         ]
 
 
-def _print_fid(rows: Sequence[DistributionDistance], console: Console) -> None:
-    table = Table(
-        "set", "distance", "", "95 %", "same", "kernel distance", "x 1000", "95 %", "N real", "N", "extractor", box=None
+def distances_table(rows: Sequence[DistributionDistance]) -> Table:
+    """Return the table of the distances."""
+    titled = {
+        "set": "", "distance": "", "value": ".4g", "same": ".4g", "kernel distance": "", "x 1000": ".4g",
+        "N real": "", "N": "", "extractor": "",
+    }  # fmt: skip
+    cells = [
+        (
+            _short(row.fake), row.metric, row.frechet, row.same, row.kernel_metric, row.kernel.scaled(1000),
+            row.real_pictures, row.fake_pictures, row.extractor,
+        )
+        for row in rows
+    ]  # fmt: skip
+    caption = (
+        f'Compared with {rows[0].real}. "same": what the distance would be of two sets so large of one distribution. '
+        "Kernel distances are expected to be 0 then."
     )
-    for row in rows:
-        kernel = Interval(1000 * row.kernel_interval.low, 1000 * row.kernel_interval.high)
-        table.add_row(
-            _short(row.fake), row.metric, bold(f"{row.frechet:.4g}"), _range(row.frechet_interval),
-            f"{row.same.mean:.4g} ({_range(row.same.interval)})",
-            row.kernel_metric, bold(f"{1000 * row.kernel:.4g}"), _range(kernel),
-            str(row.real_pictures), str(row.fake_pictures), row.extractor,
-        )  # fmt: skip
-    console.print(table)
-    console.print(
-        f'Compared with {rows[0].real}. "same": what the distance would be of two sets so large of one distribution.'
-    )
-    for row in rows:
-        for warning in row.warnings:
-            console.print(f"{_short(row.fake)}, {row.metric}: {warning}.", soft_wrap=True)
+    return Table("Distances of distributions", columns(titled), cells, caption)
 
 
 def _short(folder: str) -> str:
@@ -281,17 +274,8 @@ def _short(folder: str) -> str:
     return str(Path(*Path(folder).parts[-2:]))
 
 
-def _range(interval: Interval) -> str:
-    return f"{interval.low:.4g} to {interval.high:.4g}"
-
-
 def _fid_numbers(row: DistributionDistance) -> dict[str, Any]:
-    return {
-        **asdict(row),
-        "frechet_interval": list(row.frechet_interval),
-        "kernel_interval": list(row.kernel_interval),
-        "same": {"mean": row.same.mean, "interval": list(row.same.interval)},
-    }
+    return {each.name: getattr(row, each.name) for each in fields(row)} | row.plain
 
 
 def _page(rows: Sequence[DistributionDistance], settings: dict[str, Any]) -> RunReport:
@@ -300,28 +284,10 @@ def _page(rows: Sequence[DistributionDistance], settings: dict[str, Any]) -> Run
     return RunReport(
         title="Distances of distributions",
         settings={"real pictures": rows[0].real, **sets, **settings},
-        headlines={f"{row.metric} of {_short(row.fake)}": f"{row.frechet:.4g}" for row in rows},
-        tables=(
-            ReportTable("Frechet distances", _FRECHET_COLUMNS, tuple(map(_frechet_row, rows)), caption=_CAPTION),
-            ReportTable("Kernel distances", _KERNEL_COLUMNS, tuple(map(_kernel_row, rows)), caption=_KERNEL_CAPTION),
-        ),
+        headlines={f"{row.metric} of {_short(row.fake)}": f"{row.frechet.value:.4g}" for row in rows},
+        tables=(distances_table(rows),),
         notes=notes,
     )
-
-
-_FRECHET_COLUMNS = ("set", "distance", "value", "low", "high", "same", "N real", "N", "extractor")
-_KERNEL_COLUMNS = ("set", "distance", "x 1000", "low", "high", "N real", "N", "extractor")
-_KERNEL_CAPTION = "Expected to be 0 for sets of one distribution."
-
-
-def _frechet_row(row: DistributionDistance) -> tuple[Any, ...]:
-    values = row.frechet, *row.frechet_interval, row.same.mean
-    return (_short(row.fake), row.metric, *values, row.real_pictures, row.fake_pictures, row.extractor)
-
-
-def _kernel_row(row: DistributionDistance) -> tuple[Any, ...]:
-    values = (1000 * each for each in (row.kernel, *row.kernel_interval))
-    return (_short(row.fake), row.kernel_metric, *values, row.real_pictures, row.fake_pictures, row.extractor)
 
 
 # Published weights as plain arrays

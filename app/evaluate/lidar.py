@@ -1,30 +1,29 @@
 """`gsrain evaluate lidar`: lidar returns in rain, by intensity and range."""
 
-import csv
-import io
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TextIO
 
 import msgspec
 import numpy as np
-from jaxtyping import Int64
 from PIL import Image
 
 from gsrain_engine.evaluation.lidar.results import RainRun, RainRunCounts, write_figure
 from gsrain_engine.evaluation.lidar.results import rain_runs as lidar_runs
 from gsrain_engine.evaluation.lidar.scan import Answer, LidarTurn, capture_turns, scene_turns, write_sweep
 from gsrain_engine.evaluation.lidar.sensor import SENSORS, LidarSensor
-from gsrain_engine.evaluation.report import ReportFigure, ReportTable, RunReport, input_fingerprint, write_report
 from gsrain_engine.rain.settings import RainSettings
+from gsrain_engine.report.interval import Interval
+from gsrain_engine.report.page import ReportFigure, RunReport, input_fingerprint, write_report
+from gsrain_engine.report.table import Cell, Table, columns
 from gsrain_engine.safe_io.errors import convert_checked
 from gsrain_engine.safe_io.text_files import read_whole, yaml_values
 from gsrain_engine.scene.files import file_word
 from gsrain_engine.scene.open import file_hash, scene_hash
 
-from ..console import Console, Table, progress_bar, table_of
+from ..console import print, print_lines, progress_bar
 from ..options import (
     AllowOutside,
     JsonFileOrScreen,
@@ -43,11 +42,9 @@ from ..outputs import (
     run_provenance,
     table_stream,
     write_numbers,
-    write_text,
 )
 from ..scene import names_scene
 
-_COLUMNS = 130
 DetectionOptions = options_of(
     LidarSensor,
     "evaluate lidar",
@@ -129,13 +126,12 @@ def lidar(
         "sensor": msgspec.to_builtins(strongest.turn.sensor),
         "rows": [_row(run) for runs in by_intensity.values() for run in runs],
     }
-    write_lidar_table(output / "lidar.csv", report["rows"])
+    lidar_rows(report["rows"]).write_csv(output / "lidar.csv")
     write_numbers(output / "lidar.json", report)
     write_lidar_page(output / "report.html", output / "lidar.png", by_intensity, report)
-    console = Console(file=table_stream(json), width=_COLUMNS, highlight=False)
-    print_lidar(by_intensity, strongest.turn.sensor, console)
+    print_lidar(by_intensity, strongest.turn.sensor, table_stream(json))
     what = "lidar.png, lidar.csv, lidar.json, report.html" + (", sweeps/" if write_sweeps else "")
-    console.print(f"wrote {output}: {what}", soft_wrap=True)
+    print(f"wrote {output}: {what}", file=table_stream(json))
     write_numbers(json, report)
 
 
@@ -177,7 +173,6 @@ def read_sensor(name: str, limits: Mapping[str, float]) -> LidarSensor:
 
 # Numbers on the screen, as JSON and as CSV
 
-_FEWEST = 20
 _COUNTED = ("clear", "kept", "dropped", "masked", "false")
 
 
@@ -202,68 +197,55 @@ def _row(run: RainRunCounts) -> dict[str, Any]:
     })  # fmt: skip
 
 
-def write_lidar_table(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Write a CSV line for each run and range bin; the last bin has no end."""
-    text, run = io.StringIO(), ("intensity_mm_h", "seed", "turn")
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([*run, "from_m", "to_m", *_COUNTED])
-    writer.writerows([*(row[name] for name in run), *part.values()] for row in rows for part in row["by_range"])
-    write_text(path, text.getvalue())
+def lidar_rows(rows: Sequence[Mapping[str, Any]]) -> Table:
+    """Return a row for each run and range bin; the last bin has no end."""
+    run = "intensity_mm_h", "seed", "turn"
+    own = [[*(row[name] for name in run), *part.values()] for row in rows for part in row["by_range"]]
+    return Table("Runs", columns((*run, "from_m", "to_m", *_COUNTED)), own)
 
 
-def print_lidar(by_intensity: _Runs, sensor: LidarSensor, console: Console) -> None:
+def print_lidar(by_intensity: _Runs, sensor: LidarSensor, file: TextIO) -> None:
     """Print means over seeds and turns, and the shares of kept returns by range."""
-    table = table_of("mm/h,beta 1/km,wetness,clear,kept,too weak,behind a drop,drops,noise mm", wraps=True)
-    for intensity, runs in by_intensity.items():
-        clear, kept, *counts = _counted(runs)
-        table.add_row(
-            f"{intensity:g}", f"{1e3 * runs[0].state.extinction_per_m:.2f}", f"{runs[0].wetness:.2f}",
-            f"{clear.mean():,.0f}", f"{kept.sum() / max(clear.sum(), 1):.2%}", *map(_spread, counts),
-            f"{1e3 * np.mean([run.tally.range_rmse_m for run in runs]):.1f}",
-        )  # fmt: skip
-    console.print(f"{sensor.name}; 10 % is detected up to {sensor.range_m:.0f} m")
-    console.print(table)
+    print(f"{sensor.name}; 10 % is detected up to {sensor.range_m:.0f} m", file=file)
+    for table in (totals_table(by_intensity), range_table(by_intensity)):
+        print(f"{table.title}:", file=file)
+        print_lines(f"{table.text}\n", file=file)
     first = next(iter(by_intensity.values()))
-    runs_each, just = len(first), sum(run.at_threshold for run in first)
-    console.print(f"Means of {runs_each} runs each, with the least and the most of them. Kept returns by range:")
-    console.print(_return_share_by_range(by_intensity))
-    if just:
-        console.print(
-            f"{just / runs_each:,.0f} clear returns are fainter than what is just detected: they are taken to be at "
+    if just := sum(run.at_threshold for run in first):
+        print(
+            f"{just / len(first):,.0f} clear returns are fainter than what is just detected: they are taken to be at "
             "that limit, and any rain loses them.",
-            soft_wrap=True,
+            file=file,
         )
 
 
-def _counted(runs: Sequence[RainRunCounts]) -> list[Int64[np.ndarray, " runs"]]:
-    """Return the numbers of beams of each run, by outcome as in `_COUNTED`."""
-    return [np.array([getattr(run.tally, name).sum() for run in runs], np.int64) for name in _COUNTED]
-
-
-def _return_share_by_range(by_intensity: _Runs) -> Table:
-    """Return the shares of the clear returns; bins with few returns are omitted."""
-    first = next(iter(by_intensity.values()))
-    ends, clear = _ends(first), np.sum([run.tally.clear for run in first], axis=0)
-    shown = [k for k in range(len(clear)) if clear[k] >= _FEWEST * len(first)]
-    table = Table("mm/h", *(ends[k] for k in shown), box=None)
+def totals_table(by_intensity: _Runs) -> Table:
+    """Return the table of all returns, by intensity."""
+    titled = {
+        "mm/h": "g", "beta 1/km": ".2f", "wetness": ".2f", "clear": ",.0f", "kept": ".2%", "too weak": ",.0f",
+        "behind a drop": ",.0f", "drops": ",.0f", "noise mm": ".1f",
+    }  # fmt: skip
+    rows: list[tuple[Cell, ...]] = []
     for intensity, runs in by_intensity.items():
-        kept, clear = _returned_and_clear(runs)
-        table.add_row(f"{intensity:g}", *(f"{kept[k] / clear[k]:.1%}" for k in shown))
-    return table
+        clear, kept, *counts = [np.array([getattr(run.tally, name).sum() for run in runs]) for name in _COUNTED]
+        rows.append((
+            intensity, 1e3 * runs[0].state.extinction_per_m, runs[0].wetness, float(clear.mean()),
+            float(kept.sum() / max(clear.sum(), 1)), *(Interval.spread(each, "runs") for each in counts),
+            1e3 * float(np.mean([run.tally.range_rmse_m for run in runs])),
+        ))  # fmt: skip
+    caption = "Means of the runs of each intensity. Spreads are those of the drops, not of other places."
+    return Table("Returns", columns(titled), rows, caption)
 
 
-def _ends(runs: Sequence[RainRunCounts]) -> list[str]:
-    edges = runs[0].tally.edges_m.tolist()
-    return [f"{a:g}-{b:g} m" if math.isfinite(b) else f"> {a:g} m" for a, b in pairwise(edges)]
-
-
-def _returned_and_clear(runs: Sequence[RainRunCounts]) -> list[Int64[np.ndarray, " bins"]]:
-    return [np.sum([getattr(run.tally, name) for run in runs], axis=0) for name in ("kept", "clear")]
-
-
-def _spread(counts: Int64[np.ndarray, " runs"]) -> str:
-    low, high, mean = counts.min(), counts.max(), f"{counts.mean():,.0f}"
-    return mean if low == high else f"{mean} ({low:,}..{high:,})"
+def range_table(by_intensity: _Runs) -> Table:
+    """Return the shares of the clear returns that are kept, by range."""
+    edges = next(iter(by_intensity.values()))[0].tally.edges_m.tolist()
+    ends = [f"{a:g}-{b:g} m" if math.isfinite(b) else f"> {a:g} m" for a, b in pairwise(edges)]
+    rows: list[tuple[Cell, ...]] = []
+    for intensity, runs in by_intensity.items():
+        kept, clear = (np.sum([getattr(run.tally, name) for run in runs], axis=0) for name in ("kept", "clear"))
+        rows.append((intensity, *(float(a / b) if b else None for a, b in zip(kept, clear, strict=True))))
+    return Table("Kept returns, by range", columns({"mm/h": "g"} | dict.fromkeys(ends, ".1%")), rows)
 
 
 # HTML page
@@ -279,34 +261,8 @@ def write_lidar_page(file: Path, figure: Path, by_intensity: _Runs, report: Mapp
         title=f"Lidar in rain: {report['source']}",
         settings=settings | {f"sensor: {name}": value for name, value in report["sensor"].items()},
         figures=(ReportFigure("From above, and by range", pixels),),
-        tables=(_totals(by_intensity), _page_by_range(by_intensity)),
+        tables=(totals_table(by_intensity), range_table(by_intensity)),
         headlines={"runs of each intensity": str(len(next(iter(by_intensity.values()))))},
-        notes=(
-            "False returns depend on the sensor's minimum reflectance at close range, which makers don't state.",
-            "Spreads are those of the drops, not of other places.",
-        ),
+        notes=("False returns depend on the sensor's minimum reflectance at close range, which makers don't state.",),
     )
     write_report(file, page)
-
-
-def _totals(by_intensity: _Runs) -> ReportTable:
-    rows: list[tuple[str | float | None, ...]] = []
-    for intensity, runs in by_intensity.items():
-        clear, kept, *lost, false = _counted(runs)
-        share = float(100 * kept.sum() / max(clear.sum(), 1))
-        means = (float(each.mean()) for each in (*lost, false))
-        about = f"{intensity:g}", 1e3 * runs[0].state.extinction_per_m, runs[0].wetness, float(clear.mean()), share
-        rows.append((*about, *means, float(false.min()), float(false.max())))
-    columns = "mm/h,beta 1/km,wetness,clear,kept %,too weak,behind a drop,drops,least,most"
-    caption = "Means of the runs of each intensity."
-    return ReportTable("Returns", tuple(columns.split(",")), tuple(rows), decimals=2, caption=caption)
-
-
-def _page_by_range(by_intensity: _Runs) -> ReportTable:
-    rows: list[tuple[str | float | None, ...]] = []
-    for intensity, runs in by_intensity.items():
-        pairs = zip(*_returned_and_clear(runs), strict=True)
-        rows.append((f"{intensity:g}", *(float(100 * kept / clear) if clear else None for kept, clear in pairs)))
-    columns = ("mm/h", *_ends(next(iter(by_intensity.values()))))
-    caption = "Per cent of the returns in clear weather."
-    return ReportTable("Kept, by range", columns, tuple(rows), decimals=1, caption=caption)

@@ -3,6 +3,7 @@
 import logging
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
@@ -25,10 +26,11 @@ from gsrain_engine.evaluation.real_rain_report import markdown
 from gsrain_engine.evaluation.streaks import ANGLE_EDGES_DEG, LENGTH_EDGES_PX
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.render.images import write_png
+from gsrain_engine.report.table import Cell, Table, columns
 from gsrain_engine.scene.camera import DEFAULT_EXPOSURE_S
 from gsrain_engine.scene.sensor import DEFAULT_SENSOR, Sensor, load_sensor
 
-from ..console import Console, Table, progress_bar, table_of
+from ..console import print_lines, progress_bar
 from ..options import JsonFileOrScreen, check_within, option, options_of, setting
 from ..outputs import check_ending, check_writable, finite_numbers, table_stream, write_numbers, write_text
 
@@ -40,7 +42,6 @@ RenderedOptions = options_of(
     | dict.fromkeys(_AIR, "that of --conditions"),
 )
 _MIN_FRAMES, _MAX_FRAMES = 5, 200
-_COLUMNS = 130
 _log = logging.getLogger(__name__)
 
 
@@ -99,7 +100,7 @@ def streaks(
             rows.append(compare_with_real_rain(sequence, ours, shutters, numbers, place))
             places.append(RainyPlace(sequence, ours, shutters[0], place, day.middle_frame))
             advance()
-    _print(rows, Console(file=table_stream(json), width=_COLUMNS))
+    print_lines(streaks_table(rows).text, file=table_stream(json))
     edges = {"length_edges_px": list(LENGTH_EDGES_PX), "angle_edges_deg": list(ANGLE_EDGES_DEG)}
     plain_rows = [_plain(row) for row in rows]
     write_numbers(json, finite_numbers({"frames": frames, **knobs, **edges, "rows": plain_rows}))
@@ -166,29 +167,39 @@ def _long_enough(folder: Path) -> list[RainSequence]:
     return long_enough
 
 
-def _print(rows: list[RealRainComparison], console: Console) -> None:
-    titles = "mm/h,rain,T ms,std,> 8,< -8,streaks,a Mpx,angle deg,length px,width px,rise,told T ms"
-    table = table_of(titles, wraps=True)
-    for row in rows:
-        _add(table, f"{row.labelled_mm_h:g}", "real", row.real.statistics)
-        for measured in row.ours:
-            _add(table, f"{row.rendered_mm_h:g}", "ours", measured.statistics)
-    console.print(table)
-    console.print("Streaks before backgrounds of gray 32 to 64: medians, with what 10 and 90 % lie below.")
+_STREAKS = {
+    "mm/h": "g", "rain": "", "T ms": "g", "std": ".2f", "> 8": ".2%", "< -8": ".2%", "streaks": "", "a Mpx": ".0f",
+    "angle deg": "", "length px": "", "width px": "", "rise": "", "told T ms": "",
+}  # fmt: skip
 
 
-def _add(table: Table, intensity: str, whose: str, measured: FrameStatistics) -> None:
+_STREAKS_CAPTION = "Streaks before backgrounds of gray 32 to 64: medians, with what 10 and 90 % lie below."
+
+
+def streaks_table(rows: Sequence[RealRainComparison]) -> Table:
+    """Return the table of the streaks, ours below the real ones."""
+    own = [
+        each
+        for row in rows
+        for each in (
+            _cells(row.labelled_mm_h, "real", row.real.statistics),
+            *(_cells(row.rendered_mm_h, "ours", measured.statistics) for measured in row.ours),
+        )
+    ]
+    return Table("Streaks", columns(_STREAKS), own, _STREAKS_CAPTION)
+
+
+def _cells(intensity: float, whose: str, measured: FrameStatistics) -> tuple[Cell, ...]:
     residual, streak = measured.residual, measured.streak
-    exposure = "" if measured.exposure_s is None else f"{1e3 * measured.exposure_s:g}"
-    shares = f"{residual.share_above:.2%}", f"{residual.share_below:.2%}"
-    counts = f"{streak.streaks}", f"{streak.per_megapixel:.0f}"
+    exposure = None if measured.exposure_s is None else 1e3 * measured.exposure_s
     ranges = streak.angle_deg, streak.length_px, streak.width_px, streak.rise_levels
-    exposures = _range([1e3 * each for each in streak.exposure_s])
-    table.add_row(
-        intensity, whose, exposure, f"{residual.std_levels:.2f}", *shares, *counts, *map(_range, ranges), exposures
-    )
+    return (
+        intensity, whose, exposure, residual.std_levels, residual.share_above, residual.share_below,
+        streak.streaks, streak.per_megapixel,
+        *map(_range, (*ranges, [1e3 * each for each in streak.exposure_s])),
+    )  # fmt: skip
 
 
-def _range(quantiles: list[float] | tuple[float, ...]) -> str:
+def _range(quantiles: Sequence[float]) -> str | None:
     low, middle, high = quantiles
-    return "" if math.isnan(middle) else f"{middle:.1f} ({low:.1f}..{high:.1f})"
+    return None if math.isnan(middle) else f"{middle:.1f} ({low:.1f}..{high:.1f})"

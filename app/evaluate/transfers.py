@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TextIO
 
 import msgspec
 from PIL import Image
@@ -18,20 +18,18 @@ from gsrain_engine.evaluation import compare_results as results
 from gsrain_engine.evaluation import compare_translators as translators
 from gsrain_engine.evaluation.fid import FeatureCache
 from gsrain_engine.evaluation.fid_features import ExtractorChoice
-from gsrain_engine.evaluation.report import ReportFigure, ReportTable, RunReport, input_fingerprint, write_report
 from gsrain_engine.presets import shipped_config_names
 from gsrain_engine.render.images import write_image
+from gsrain_engine.report.page import ReportFigure, RunReport, input_fingerprint, write_report
 from gsrain_engine.safe_io.errors import MissingInputsError
 from gsrain_engine.scene.open import scene_hash
 
 from .. import outputs
-from ..console import Console, bold, print, run_with_progress, table_of
+from ..console import print, print_lines, run_with_progress
 from ..options import AllowOutside, JsonFileOrScreen, Trust, let_names_lead_outside, option, split_words, with_trust
 from ..scene import names_scene
 from .consistency import film_note
 from .images import FeatureDevice, extractor_of
-
-_COLUMNS = 160
 
 
 def transfers(
@@ -83,14 +81,15 @@ def transfers(
         "rows": [results.plain_row(row) for row in result.rows],
         "settings": msgspec.to_builtins(settings, enc_hook=str),
     }
-    outputs.write_text(output / "table.md", results.markdown_table(result.rows))
-    outputs.write_text(output / "table.csv", results.comparison_csv(result.rows))
+    table = results.comparison_table(result.rows)
+    outputs.write_text(output / "table.md", table.markdown)
+    table.write_csv(output / "table.csv")
     outputs.write_numbers(output / "table.json", numbers)
     write_image(output / "figure.png", Image.fromarray(result.figure))
     facts = {"views": f"{len(source.views)} of {source.name}", "real pictures": len(real)}
     facts |= outputs.provenance_lines(numbers)
     write_report(output / "report.html", transfers_page(result, settings, facts))
-    print_transfers(result, Console(file=outputs.table_stream(json), width=_COLUMNS))
+    print_transfers(result, outputs.table_stream(json))
     print(f"wrote {output}: table.md, table.csv, table.json, figure.png, report.html", file=sys.stderr)
     outputs.write_numbers(json, numbers)
 
@@ -152,56 +151,34 @@ def transfers_page(
 ) -> RunReport:
     """Lay out the page of a comparison; `facts` come first among its settings."""
     rows, distance = result.rows, result.rows[0].distance
-    caption = (
-        f'{distance.metric} with the ends of its 95 % interval; "same" is what it would be of two sets so large of one '
-        "distribution. Errors: neighboring views warped onto each other, in levels of 255; dry: outside the water."
-    )
     notes = [f"{row.name}: {warning}." for row in rows for warning in row.distance.warnings]
     if not result.has_cameras:
         notes.append(_WITHOUT_CAMERAS)
     notes += [*_without_film(result), *result.notes]
     methods = {f"method {each.name}": _changed(each) for each in settings.methods}
     about = {"extractor": distance.extractor, "resamples": settings.resamples, "seed": settings.seed}
-    values = tuple(tuple(row.values.values()) for row in rows)
     return RunReport(
         title="Comparison of transfers",
         settings={**facts, **about, **methods},
-        headlines={f"{distance.metric}, {row.name}": f"{row.distance.frechet:.4g}" for row in rows},
+        headlines={f"{distance.metric}, {row.name}": f"{row.distance.frechet.value:.4g}" for row in rows},
         figures=(ReportFigure("Views by method", result.figure, ", ".join(result.figure_views), is_photograph=True),),
-        tables=(ReportTable("Methods", tuple(rows[0].values), values, caption=caption),),
+        tables=(results.comparison_table(rows),),
         notes=tuple(notes),
     )
 
 
-def print_transfers(result: translators.ComparisonResult, console: Console) -> None:
+def print_transfers(result: translators.ComparisonResult, file: TextIO) -> None:
     """Print the table, the reused methods, and warnings about the distances."""
-    distance = result.rows[0].distance
-    kernel = f"{distance.kernel_metric} x1000"
-    titles = f"method,N,{distance.metric},95 %,same,{kernel},95 %,error,ratio,per contrast,dry,s"
-    table = table_of(titles, wraps=True)
-    for row in result.rows:
-        values = {name: results.cell_text(value) for name, value in row.values.items()}
-        frechet, kernel_value = (
-            (bold(values[name]), f"{values[f'{name} low']} to {values[f'{name} high']}")
-            for name in (distance.metric, kernel)
-        )
-        agreement = (values[name] for name in ("error after", "ratio", "per contrast", "dry ratio", "seconds"))
-        table.add_row(row.name, values["N"], *frechet, values["same"], *kernel_value, *agreement)
-    console.print(table)
-    console.print(
-        f"Compared with {distance.real_pictures} real pictures by {distance.extractor}. Error: neighboring views, in "
-        "levels of 255; ratio: to that before; dry: outside the water film.",
-        soft_wrap=True,
-    )
+    print_lines(results.comparison_table(result.rows).text, file=file)
     if not result.has_cameras:
-        console.print(_WITHOUT_CAMERAS, soft_wrap=True)
+        print(_WITHOUT_CAMERAS, file=file)
     for note in (*_without_film(result), *result.notes):
-        console.print(note, soft_wrap=True)
+        print(note, file=file)
     if result.reused:
-        console.print(f"Not run again, for their pictures stand: {', '.join(result.reused)}.", soft_wrap=True)
+        print(f"Not run again, for their pictures stand: {', '.join(result.reused)}.", file=file)
     for row in result.rows:
         for warning in row.distance.warnings:
-            console.print(f"{row.name}, {distance.metric}: {warning}.", soft_wrap=True)
+            print(f"{row.name}, {row.distance.metric}: {warning}.", file=file)
 
 
 def _without_film(result: translators.ComparisonResult) -> list[str]:

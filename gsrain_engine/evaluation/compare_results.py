@@ -1,7 +1,5 @@
 """Settings and results of a comparison of rain translators: view agreement, table rows, Markdown and CSV."""
 
-import csv
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isnan
@@ -17,6 +15,7 @@ from ..appearance.finetune.dataset import ImageSettings
 from ..appearance.registry import method_names
 from ..appearance.scene_views import ViewChoice
 from ..presets import load_values
+from ..report.table import Cell, Column, Table
 from ..safe_io.errors import convert_checked
 from ..safe_io.text_files import printable_line
 from ..scene.open import STREET
@@ -50,7 +49,6 @@ class ComparisonPairs:
 
 # Comparison table
 
-Value = str | int | float | None
 _KERNEL_SCALE, _LEVELS = 1000, 255
 
 
@@ -68,71 +66,39 @@ class ComparedRow:
     seconds: float | None = None
     """Duration of its transfer, if it ran."""
 
-    @property
-    def values(self) -> dict[str, Value]:
-        """Return the table's columns, units in the names.
 
-        The Frechet distance (>= 0, 0 is best) is named FID for Inception's features alone, else FD- and the extractor;
-        the kernel distance (0 is best) KID or KD-, times 1000. "low" and "high" are ends of their 95 % intervals,
-        "same" the expected Frechet distance of two equally large sets from one distribution. Errors are the root mean
-        square between neighboring views warped onto each other, in levels of 255 (0 is best), and "ratio" after over
-        before (1 means no change); "per contrast" divides by contrast, since a transfer that grays everything lowers
-        errors; "dry" is outside the water film. Sources: `distribution_distance` and `agreements`.
-        """
-        distance, kernel = self.distance, f"{self.distance.kernel_metric} x1000"
-        low, high = (_KERNEL_SCALE * each for each in distance.kernel_interval)
-        before, after, ratio, contrast_ratio = _errors(self.everywhere)
-        return {
-            "method": self.name,
-            "N": distance.fake_pictures,
-            "N real": distance.real_pictures,
-            distance.metric: distance.frechet,
-            f"{distance.metric} low": distance.frechet_interval.low,
-            f"{distance.metric} high": distance.frechet_interval.high,
-            "same": distance.same.mean,
-            kernel: _KERNEL_SCALE * distance.kernel,
-            f"{kernel} low": low,
-            f"{kernel} high": high,
-            "pairs": self.pairs,
-            "error before": None if before is None else _LEVELS * before,
-            "error after": None if after is None else _LEVELS * after,
-            "ratio": ratio,
-            "per contrast": contrast_ratio,
-            "dry ratio": _errors(self.outside_film)[2],
-            "seconds": self.seconds,
-        }
+def comparison_table(rows: Sequence[ComparedRow]) -> Table:
+    """Return the table of a comparison.
 
-
-def markdown_table(rows: Sequence[ComparedRow]) -> str:
-    """Write a table in Markdown: intervals in brackets after their values, the best distance in bold."""
+    The Frechet distance (>= 0, 0 is best) is named FID for Inception's features alone, else FD- and the extractor; the
+    kernel distance (0 is best) KID or KD-, times 1000. "same" is the expected Frechet distance of two equally large
+    sets from one distribution. Errors are the root mean square between neighboring views warped onto each other, in
+    levels of 255 (0 is best), and "ratio" after over before (1 means no change); "per contrast" divides by contrast,
+    since a transfer that grays everything lowers errors; "dry" is outside the water film. Sources:
+    `distribution_distance` and `agreements`.
+    """
     distance = rows[0].distance
-    kernel = f"{distance.kernel_metric} x1000"
-    titles = ["method", "N", f"{distance.metric} [95 %]", "same", f"{kernel} [95 %]", "error before", "error after",
-              "ratio", "per contrast", "dry ratio", "seconds"]  # fmt: skip
-    best = min(row.distance.frechet for row in rows)
-    lines = [_line(titles), _line(["---", *["---:"] * (len(titles) - 1)])]
+    titled = (
+        Column("method"), Column("N"), Column("N real"), Column(distance.metric, ".4g"), Column("same", ".4g"),
+        Column(f"{distance.kernel_metric} x1000", ".4g"), Column("pairs"), Column("error before", ".4g"),
+        Column("error after", ".4g"), Column("ratio", ".4g"), Column("per contrast", ".4g"),
+        Column("dry ratio", ".4g"), Column("seconds", ".4g"),
+    )  # fmt: skip
+    values: list[tuple[Cell, ...]] = []
     for row in rows:
-        values = row.values
-        frechet = _within(values, distance.metric)
-        cells = [row.name, str(values["N"]), f"**{frechet}**" if row.distance.frechet == best else frechet]
-        cells += [cell_text(values["same"]), _within(values, kernel)]
-        cells += [cell_text(values[each]) for each in titles[5:]]
-        lines.append(_line(cells))
-    note = (
-        f'Compared with {distance.real_pictures} real pictures; features: {distance.extractor}. "same": the distance '
-        "of two sets so large of one distribution. Errors of warped neighboring views in levels of 255; dry: outside "
-        "water."
+        own = row.distance
+        before, after, ratio, contrast_ratio = _errors(row.everywhere)
+        values.append((
+            row.name, own.fake_pictures, own.real_pictures, own.frechet, own.same, own.kernel.scaled(_KERNEL_SCALE),
+            row.pairs, None if before is None else _LEVELS * before, None if after is None else _LEVELS * after,
+            ratio, contrast_ratio, _errors(row.outside_film)[2], row.seconds,
+        ))  # fmt: skip
+    caption = (
+        f'Compared with real pictures by {distance.extractor}. "same": what the distance would be of two sets so large '
+        "of one distribution. Errors: neighboring views warped onto each other, in levels of 255; ratio: to that "
+        "before; dry: outside the water film."
     )
-    return "\n".join([*lines, "", note, ""])
-
-
-def comparison_csv(rows: Sequence[ComparedRow]) -> str:
-    """Write all columns as CSV, in full precision; unknown values are empty."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(rows[0].values)
-    writer.writerows(row.values.values() for row in rows)
-    return text.getvalue()
+    return Table("Methods", titled, values, caption)
 
 
 def plain_row(row: ComparedRow) -> dict[str, Any]:
@@ -147,11 +113,7 @@ def plain_row(row: ComparedRow) -> dict[str, Any]:
         "extractor": distance.extractor,
         "real_pictures": distance.real_pictures,
         "fake_pictures": distance.fake_pictures,
-        "frechet": distance.frechet,
-        "frechet_interval": list(distance.frechet_interval),
-        "same": {"mean": distance.same.mean, "interval": list(distance.same.interval)},
-        "kernel": distance.kernel,
-        "kernel_interval": list(distance.kernel_interval),
+        **distance.plain,
         "pairs": row.pairs,
         "rmse_before": before,
         "rmse_after": after,
@@ -170,20 +132,6 @@ def _errors(agreement: WarpAgreement | None) -> tuple[float | None, float | None
     ratio, contrast_ratio = (None if isnan(each) else each for each in (agreement.ratio, agreement.contrast_ratio))
     before = None if agreement.before is None else agreement.before.rmse
     return before, agreement.after.rmse, ratio, contrast_ratio
-
-
-def _within(values: dict[str, Value], name: str) -> str:
-    return f"{cell_text(values[name])} [{cell_text(values[f'{name} low'])}, {cell_text(values[f'{name} high'])}]"
-
-
-def cell_text(value: Value) -> str:
-    if value is None:
-        return "-"
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-def _line(cells: Sequence[str]) -> str:
-    return f"| {' | '.join(cells)} |"
 
 
 # Comparison settings

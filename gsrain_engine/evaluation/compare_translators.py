@@ -29,6 +29,7 @@ from ..datasets.capture import Capture, CaptureError
 from ..datasets.image_override import flat_name
 from ..datasets.open_capture import capture_format, open_capture
 from ..datasets.undistort import undistort_frame
+from ..report.page import input_fingerprint
 from ..safe_io.errors import not_found
 from ..safe_io.limits import read_file
 from ..scene.files import whole_file
@@ -37,7 +38,6 @@ from ..scene.progress import Progress
 from .compare_results import CLEAR, ComparedMethod, ComparedRow, ComparisonPairs, TransferComparison
 from .fid import MIN_IMAGES, FeatureCache, ImageSetFeatures, distribution_distance, extract_features
 from .fid_features import Extractor
-from .report import input_fingerprint
 
 _TRANSFERS, _FEATURES = 0.8, 0.9
 """Shares of the progress at which transfers and features are done; learned transfers take most of the time."""

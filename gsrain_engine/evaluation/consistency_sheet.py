@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Bool, Float32, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
+from ..report.charts import LARGEST_ERROR
 from .consistency import WarpedPair
-from .report_charts import LARGEST_ERROR
 
 _CELL_PX = 400
 _GAP_PX, _TEXT_PX = 8, 17

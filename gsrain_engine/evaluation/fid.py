@@ -5,17 +5,17 @@ import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 import platformdirs
 from jaxtyping import Bool, Float, Float32, Float64, Int64, UInt8
 
 from ..datasets.capture import Capture
+from ..report.interval import Interval, quantiles
 from ..safe_io.limits import open_file
 from ..scene.files import whole_file
 from .fid_features import SIZE_PX, Extractor, ExtractorChoice, cell_statistics
-from .image_metrics import CONFIDENCE
 
 MIN_IMAGES = 4  # smaller sets are meaningless, and their resamples are almost all alike
 Features = Float[np.ndarray, "_ _"]  # one row per image
@@ -36,21 +36,6 @@ class ImageSetFeatures:
         return len(self.hashes)
 
 
-class Interval(NamedTuple):
-    """Ends of an interval with probability `CONFIDENCE`."""
-
-    low: float
-    high: float
-
-
-@dataclass(frozen=True, slots=True)
-class SameDistribution:
-    """Frechet distances between sets of one distribution with the sizes of the compared sets."""
-
-    mean: float
-    interval: Interval
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DistributionDistance:
     """Distance of two sets of images for one extractor."""
@@ -67,13 +52,22 @@ class DistributionDistance:
     fake_pictures: int
     shared_pictures: int
     """Images in both sets, with identical pixels."""
-    frechet: float
-    frechet_interval: Interval
-    kernel: float
-    kernel_interval: Interval
-    same: SameDistribution
-    """Expected Frechet distance from small samples alone."""
+    frechet: Interval
+    kernel: Interval
+    same: Interval
+    """Expected Frechet distance from small samples alone: of sets of these sizes of one distribution."""
     warnings: tuple[str, ...]
+
+    @property
+    def plain(self) -> dict[str, Any]:
+        """Distances for JSON."""
+        return {
+            "frechet": self.frechet.value,
+            "frechet_interval": [self.frechet.low, self.frechet.high],
+            "same": {"mean": self.same.value, "interval": [self.same.low, self.same.high]},
+            "kernel": self.kernel.value,
+            "kernel_interval": [self.kernel.low, self.kernel.high],
+        }
 
 
 def distribution_distance(
@@ -86,12 +80,12 @@ def distribution_distance(
     advance: Advance = lambda: None,
 ) -> DistributionDistance:
     """Compare two sets, deterministically. `advance` is called 2 `resamples` times."""
-    value = frechet_distance(real.features, fake.features)
     same = same_distribution(real.features, fake.features, resamples, seed, advance)
     in_both = len(set(real.hashes) & set(fake.hashes))
     pairs = np.array(real.hashes)[:, None] == np.array(fake.hashes)[None, :] if in_both else None
-    kernel, kernel_spread = kernel_estimate(real.features, fake.features, resamples, seed, pairs)
-    warning = small_sample_warning(extractor, value, (len(real), len(fake)), same)
+    kernel = kernel_estimate(real.features, fake.features, resamples, seed, pairs)
+    frechet = frechet_interval(real.features, fake.features, resamples, seed, advance)
+    warning = small_sample_warning(extractor, frechet.value, (len(real), len(fake)), same)
     warnings = [] if warning is None else [warning]
     if in_both:
         warnings.append(f"{in_both} pictures are in both sets: they make every distance smaller")
@@ -99,12 +93,10 @@ def distribution_distance(
         repeated = len(each) - len(set(each.hashes))
         if repeated:
             warnings.append(f"{repeated} of the {len(each)} {name} pictures repeat others of them")
-    interval = frechet_interval(real.features, fake.features, resamples, seed, advance)
     return DistributionDistance(
         metric=extractor.metric, kernel_metric=extractor.kernel_metric, extractor=extractor.described,
         features=extractor.features, real=real.name, fake=fake.name, real_pictures=len(real), fake_pictures=len(fake),
-        shared_pictures=in_both, frechet=value, frechet_interval=interval, kernel=kernel, kernel_interval=kernel_spread,
-        same=same, warnings=tuple(warnings),
+        shared_pictures=in_both, frechet=frechet, kernel=kernel, same=same, warnings=tuple(warnings),
     )  # fmt: skip
 
 
@@ -371,7 +363,7 @@ NOTABLE_SHARE = 0.1  # share of a distance from which its small-sample bias trig
 def frechet_interval(
     real: Features, fake: Features, resamples: int, seed: int, advance: Advance = lambda: None
 ) -> Interval:
-    """Return the confidence interval of the Frechet distance for image sets of these sizes.
+    """Return the Frechet distance with its interval for image sets of these sizes.
 
     Bootstrap: images of each set are drawn with replacement (Efron 1979). Resamples contain fewer different images,
     which raises their distances; this shift is removed: the interval is the value plus the quantiles of the resampled
@@ -385,14 +377,15 @@ def frechet_interval(
     for counts in _drawn_counts(len(real), len(fake), resamples, seed):
         distances.append(frechet_distance(*points, counts))
         advance()
-    interval = quantiles(np.array(distances) - np.mean(distances))
-    return Interval(max(value + interval.low, 0.0), value + interval.high)
+    low, high = quantiles(np.array(distances) - np.mean(distances))
+    return Interval(value, max(value + low, 0.0), value + high, *_BOTH, len(real) + len(fake))
 
 
-def kernel_estimate(
-    real: Features, fake: Features, resamples: int, seed: int, shared: Pairs | None = None
-) -> tuple[float, Interval]:
-    """Return KID and its confidence interval for image sets of these sizes; kernels are computed once for both.
+_BOTH = "bootstrap, 95 %", "pictures of both sets"
+
+
+def kernel_estimate(real: Features, fake: Features, resamples: int, seed: int, shared: Pairs | None = None) -> Interval:
+    """Return KID with its interval for image sets of these sizes; kernels are computed once for both.
 
     KID is unbiased, so the bootstrapped values are not shifted. Images are assumed independent, as in
     `frechet_interval`; `shared` is that of `weighted_distances`.
@@ -401,14 +394,7 @@ def kernel_estimate(
     for k, counts in enumerate(_drawn_counts(len(real), len(fake), resamples, seed)):
         weights[0][:, 1 + k], weights[1][:, 1 + k] = counts
     values = weighted_distances(real, fake, weights[0], weights[1], shared)
-    return float(values[0]), quantiles(values[1:])
-
-
-def quantiles(values: Float64[np.ndarray, " n"]) -> Interval:
-    """Return the ends of the middle `CONFIDENCE` of some values."""
-    outside = (1 - CONFIDENCE) / 2
-    low, high = np.nanquantile(values, (outside, 1 - outside))
-    return Interval(float(low), float(high))
+    return Interval(float(values[0]), *quantiles(values[1:]), *_BOTH, len(real) + len(fake))
 
 
 def _drawn_counts(real: int, fake: int, resamples: int, seed: int) -> Iterator[tuple[FeatureCounts, FeatureCounts]]:
@@ -427,7 +413,7 @@ def _draw(random: np.random.Generator, count: int) -> FeatureCounts:
 
 def same_distribution(
     real: Features, fake: Features, splits: int, seed: int, advance: Advance = lambda: None
-) -> SameDistribution:
+) -> Interval:
     """Estimate the Frechet distance of two sets of these sizes from one distribution.
 
     The mean of each set is removed (with a correction of the spread), all images are mixed, split at random into sets
@@ -444,20 +430,18 @@ def same_distribution(
         distances.append(frechet_distance(mixed[: len(real)], mixed[len(real) :]))
         advance()
     values = np.array(distances)
-    return SameDistribution(float(values.mean()), quantiles(values))
+    return Interval(float(values.mean()), *quantiles(values), "middle 95 %", "random splits", splits)
 
 
-def small_sample_warning(
-    extractor: Extractor, value: float, counts: tuple[int, int], same: SameDistribution
-) -> str | None:
+def small_sample_warning(extractor: Extractor, value: float, counts: tuple[int, int], same: Interval) -> str | None:
     """Return a one-sentence warning if the sample size dominates the distance, else None."""
-    if same.mean < NOTABLE_SHARE * value:
+    if same.value < NOTABLE_SHARE * value:
         return None
     bias = (
         f"for want of pictures ({counts[0]} and {counts[1]} for {extractor.features} features) the "
-        f"{extractor.metric} of two such sets of one distribution would be about {same.mean:.4g} "
-        f"({same.interval.low:.4g} to {same.interval.high:.4g}): "
+        f"{extractor.metric} of two such sets of one distribution would be about {same.value:.4g} "
+        f"({same.low:.4g} to {same.high:.4g}): "
     )
-    if value <= same.interval.high:
+    if value <= same.high:
         return f"{bias}{value:.4g} tells no difference"
     return f"{bias}compare {value:.4g} only with values of as many pictures, or take {extractor.kernel_metric}"

@@ -1,11 +1,12 @@
-"""Image metrics: PSNR, SSIM, affine color fits, and confidence intervals of means and shares."""
+"""Image metrics: PSNR, SSIM, affine color fits, and comparisons of views."""
 
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from collections.abc import Callable
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Float64
+from jaxtyping import Bool, Float, Float64, UInt8
+
+from ..report.charts import ImageComparison
 
 Image = Float[np.ndarray, "h w 3"]
 Mask = Bool[np.ndarray, "h w"]
@@ -132,47 +133,32 @@ def _valid(values: np.ndarray) -> np.ndarray:
     return values[HALF_WINDOW_PX:-HALF_WINDOW_PX, HALF_WINDOW_PX:-HALF_WINDOW_PX]
 
 
-# Confidence interval of a mean
+# Comparison of one view, for a report
 
-CONFIDENCE = 0.95
-_RESAMPLES = 2000
-
-
-class MeanInterval(NamedTuple):
-    """A mean, and its interval with probability `CONFIDENCE` over sets of the same size."""
-
-    mean: float
-    low: float
-    high: float
+WIDEST_PX = 640
 
 
-def mean_interval(values: Sequence[float], seed: int = 0) -> MeanInterval:
-    """Return the mean and its percentile bootstrap (Efron 1979), in the unit of the values.
-
-    Deterministic for given values and seed. Infinite values, as the PSNR of equal images, make the mean infinite. For
-    neighboring frames of one drive, which are not independent, the interval is too narrow. Raises ValueError without
-    values.
-    """
-    if not values:
-        raise ValueError("a mean takes at least one value")
-    array = np.array(values, np.float64)
-    drawn = np.random.default_rng(seed).integers(0, len(array), (_RESAMPLES, len(array)))
-    means = array[drawn].mean(axis=1)
-    outside = (1 - CONFIDENCE) / 2
-    low, high = np.quantile(means, (outside, 1 - outside), method="inverted_cdf")  # for infinite values
-    return MeanInterval(float(array.mean()), float(low), float(high))
+def compare_images(
+    name: str, rendered: Image, truth: Image, mask: Mask | None = None, lpips: ImageDistance | None = None
+) -> ImageComparison:
+    """Compare a render with the ground truth, values of 0..1, over the pixels of the mask."""
+    error = np.abs(rendered.astype(np.float32) - truth.astype(np.float32)).mean(axis=2)
+    small = _small(error)
+    if mask is not None:
+        share = _small(mask.astype(np.float32))
+        small = np.where(share > 0.5, _small(np.where(mask, error, 0)) / np.maximum(share, 0.5), np.nan)
+    distance = None if lpips is None else lpips(rendered, truth, mask)
+    metrics = psnr(rendered, truth, mask), ssim(rendered, truth, mask), distance
+    return ImageComparison(name, _bytes(rendered), _bytes(truth), small.astype(np.float32), *metrics)
 
 
-# Confidence interval of a share
+def _small(values: np.ndarray) -> np.ndarray:
+    height, width = values.shape[:2]
+    if width <= WIDEST_PX:
+        return values
+    size = WIDEST_PX, max(round(height * WIDEST_PX / width), 1)
+    return cv2.resize(values, size, interpolation=cv2.INTER_AREA)
 
-_Z95 = 1.959963984540054  # standard deviations that contain 95 % of a normal distribution
 
-
-def wilson_interval(hits: int, of: int) -> tuple[float, float]:
-    """Return the 95 % confidence interval of hits / of for independent trials (Wilson 1927); 0..1 for none."""
-    if not of:
-        return 0.0, 1.0
-    z2 = _Z95**2
-    middle = (hits + z2 / 2) / (of + z2)
-    half = _Z95 / (of + z2) * (hits * (of - hits) / of + z2 / 4) ** 0.5
-    return max(0.0, middle - half), min(1.0, middle + half)
+def _bytes(image: Image) -> UInt8[np.ndarray, "hs ws 3"]:
+    return np.rint(np.clip(_small(image.astype(np.float32)), 0, 1) * 255).astype(np.uint8)

@@ -6,6 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64, Int64
 
+from ..report.interval import Interval, quantiles, resampled
+from ..report.table import Cell, Column, Table, columns
 from .real_rain import MeasuredFrames, RealRainComparison
 from .streaks import DARK_BAND, streaks_within
 
@@ -13,17 +15,9 @@ BLACK_BAND, BRIGHT_BAND = (0.0, 16.0), (64.0, 140.0)
 """Background levels: nearly black, and bright but darker than the drops."""
 
 _RESAMPLES = 1000
-_INTERVAL = (5.0, 95.0)
+_CONFIDENCE = 0.9
 _MIN_STREAKS = 10
 """Streaks for medians and scatter; with fewer the table has a dash."""
-
-
-class Estimate(NamedTuple):
-    """Figure with its bootstrap interval of 90 % over frames; all NaN where it can't be had."""
-
-    value: float
-    low: float
-    high: float
 
 
 Resampled = Callable[[Int64[np.ndarray, " t"]], float]
@@ -32,15 +26,15 @@ Resampled = Callable[[Int64[np.ndarray, " t"]], float]
 Measure = Callable[[MeasuredFrames], Resampled]
 
 
-def estimate(measured: MeasuredFrames, measure: Measure) -> Estimate:
+def estimate(measured: MeasuredFrames, measure: Measure) -> Interval:
     """Return a figure with its interval: percentiles over frames drawn with replacement (Efron 1979), seeded."""
     number, figure = len(measured.frames), measure(measured)
     value = figure(np.arange(number))
-    if np.isnan(value):
-        return Estimate(value, np.nan, np.nan)
-    draws = np.random.default_rng(0).integers(0, number, (_RESAMPLES, number))
-    low, high = np.nanpercentile([figure(draw) for draw in draws], _INTERVAL)
-    return Estimate(value, float(low), float(high))
+    low, high = np.nan, np.nan
+    if not np.isnan(value):
+        draws = resampled((np.arange(number),), figure, resamples=_RESAMPLES, vectorized=False)
+        low, high = quantiles(draws, _CONFIDENCE)
+    return Interval(value, low, high, "bootstrap, 90 %", "frames", number)
 
 
 def _of_streaks(
@@ -126,7 +120,7 @@ class Goal(NamedTuple):
             return "too few streaks"
         relation = ours / real if self.is_ratio else ours - real
         shown = f"{relation:.2f}" if self.is_ratio else f"{relation:+.1f}"
-        return f"{shown} met" if self.low <= relation <= self.high else f"{shown} **missed**"
+        return f"{shown} met" if self.low <= relation <= self.high else f"{shown} missed"
 
 
 GOALS = (
@@ -142,9 +136,6 @@ GOALS = (
 _INTRODUCTION = (
     "RainSense's frames (IVtest-Lab, doi 10.5281/zenodo.17231190) and our rain in front of the same backgrounds,",
     "written by `gsrain evaluate streaks RAINSENSE --report docs/real_rain.md`; [method](real_rain_method.md).",
-    "",
-    "Each cell is **real / ours**, with bootstrap intervals of 90 % over frames below. Figures are medians of the",
-    "streaks found before backgrounds of gray 32 to 64, if nothing else is stated. A dash: fewer than 10 streaks.",
 )
 
 
@@ -154,36 +145,22 @@ def markdown(rows: Sequence[RealRainComparison]) -> str:
     Only the first exposure of each comparison is used.
     """
     rainy = [row for row in rows if row.labelled_mm_h > 0]
-    table = {
+    rates = [f"{row.labelled_mm_h:g} mm/h" for row in rainy]
+    found = {
         name: [(estimate(row.real, measure), estimate(row.ours[0], measure)) for row in rainy]
         for name, measure in MEASURES.items()
     }
-    lines = [
-        "# Our rain and real rain", "",
-        *_INTRODUCTION, "",
-        "| | " + " | ".join(f"{row.labelled_mm_h:g} mm/h" for row in rainy) + " |",
-        "|---|" + "---|" * len(rainy),
-        "| Frames | " + " | ".join(str(len(row.numbers)) for row in rainy) + " |",
-        "| Shutter of ours, ms | "
-        + " | ".join(f"{1e3 * (row.ours[0].statistics.exposure_s or 0):g}" for row in rainy) + " |",
-    ]  # fmt: skip
-    for name, cells in table.items():
-        lines.append(f"| {name} | " + " | ".join(_cell(*cell) for cell in cells) + " |")
-    lines += ["", "## Goals", "", "| | " + " | ".join(f"{row.labelled_mm_h:g} mm/h" for row in rainy) + " |"]
-    lines.append("|---|" + "---|" * len(rainy))
-    for goal in GOALS:
-        words = [goal.verdict(real.value, ours.value) for real, ours in table[goal.measure]]
-        lines.append(f"| {goal.title} | " + " | ".join(words) + " |")
-    return "\n".join(lines) + "\n"
-
-
-def _cell(real: Estimate, ours: Estimate) -> str:
-    return f"**{_number(real.value)} / {_number(ours.value)}**<br>{_interval(real)} / {_interval(ours)}"
-
-
-def _number(value: float) -> str:
-    return "-" if np.isnan(value) else f"{value:.3g}"
-
-
-def _interval(each: Estimate) -> str:
-    return "-" if np.isnan(each.value) else f"{_number(each.low)} to {_number(each.high)}"
+    shutters = [cell for row in rainy for cell in (None, 1e3 * (row.ours[0].statistics.exposure_s or 0))]
+    values: list[tuple[Cell, ...]] = [("Shutter of ours, ms", *shutters)]
+    values += [(name, *(each for pair in pairs for each in pair)) for name, pairs in found.items()]
+    titled = (Column(""), *(Column(f"{rate}, {whose}", ".3g") for rate in rates for whose in ("real", "ours")))
+    caption = (
+        "Figures are medians of the streaks found before backgrounds of gray 32 to 64, if nothing else is stated. A "
+        "dash: fewer than 10 streaks."
+    )
+    goals = [
+        (goal.title, *(goal.verdict(real.value, ours.value) for real, ours in found[goal.measure])) for goal in GOALS
+    ]
+    parts = Table("Our rain and real rain", titled, values, caption), Table("Goals", columns(["", *rates]), goals)
+    return "\n".join(["# Our rain and real rain", "", *_INTRODUCTION, "", parts[0].markdown, "## Goals", "",
+                      parts[1].markdown])  # fmt: skip

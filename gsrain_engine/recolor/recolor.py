@@ -13,9 +13,8 @@ from msgspec import Meta, Struct
 from ..appearance.base import ClearView, Transfer
 from ..appearance.wet_look.settings import WetSettings
 from ..datasets.capture import Capture
-from ..evaluation.image_metrics import psnr
-from ..evaluation.report import ReportCurve, RunReport
-from ..evaluation.report_charts import ImageComparison
+from ..evaluation.image_metrics import compare_images, psnr
+from ..report.page import ReportCurve, RunReport
 from ..scene.progress import Progress, subprogress
 from ..scene.scene import Scene
 from ..training.evaluation import validation_indices
@@ -307,7 +306,7 @@ def _run_report(
         settings,
         (ReportCurve("residual", steps, np.array(recolored.lengths, np.float64), is_logarithmic=True),),
         tuple(
-            ImageComparison.measured(
+            compare_images(
                 own.target.name, view.rendered(recolored.solution.sh), own.target.image, own.counted
             )
             for view in compared if (own := view.observed).counted.any()

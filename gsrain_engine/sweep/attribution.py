@@ -15,13 +15,13 @@ from ..evaluation.attribution.results import (
     Measure,
     attributions,
     method_of,
+    seed_table,
     share_figure,
-    write_share_csv,
 )
 from ..evaluation.attribution.shapley import Coalition
-from ..evaluation.report import ReportFigure
+from ..report.page import ReportFigure
+from ..report.table import table_of
 from ..scene.files import whole_file
-from ..simulation.metrics.summary import table_csv
 from .expansion import AttributedDrive
 from .results import FINISHED, Row
 
@@ -85,7 +85,7 @@ def write_attribution(
 ) -> list[ReportFigure]:
     """Write attribution.csv (shares by seed), attribution_drives.csv (a row per drive and coalition) and the figure."""
     if found:
-        write_share_csv(folder / "attribution.csv", found)
+        seed_table(found).write_csv(folder / "attribution.csv")
     lines: list[dict[str, Any]] = []
     for each in drives:
         drive = each.drive
@@ -99,12 +99,11 @@ def write_attribution(
                 measured = {measure.name: row[measure.name] for measure in MEASURES}
                 lines.append(shared | {"factors": factors, "id": job.id, "status": row["status"]} | measured)
     if lines:
-        with whole_file(folder / "attribution_drives.csv") as partial:
-            partial.write_bytes(table_csv(list(lines[0]), lines).encode())
+        table_of("", lines[0], lines).write_csv(folder / "attribution_drives.csv")
     drawn = [each for each in found if each.measure in MEASURES[:_DRAWN]]
     if not drawn:
         return []
-    figure = ReportFigure("Shares of the factors of the rain", share_figure(drawn), method_of(drawn[0].plain) + OVER)
+    figure = ReportFigure("Shares of the factors of the rain", share_figure(drawn), method_of(drawn[0]) + OVER)
     with whole_file(folder / "attribution.png") as partial:
         Image.fromarray(figure.pixels).save(partial, "png")
     return [figure]

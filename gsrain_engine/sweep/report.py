@@ -1,7 +1,8 @@
 """Tables, summary figures and HTML report of a sweep."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -17,24 +18,25 @@ from msgspec import structs
 from PIL import Image
 
 from ..evaluation.attribution.results import Attribution, share_table
-from ..evaluation.report import ReportFigure, ReportTable, RunReport, write_report
-from ..evaluation.report_charts import SeriesStyle, series_styles
 from ..rain.settings import CALIBRATED_UP_TO_MM_H
+from ..report.charts import SeriesStyle, series_styles
+from ..report.page import ReportFigure, RunReport, write_report
+from ..report.table import Cell, Column, Table, columns, table_of
 from ..safe_io.text_files import figure_words
 from ..scene.files import shortened, whole_file
-from ..simulation.metrics.summary import table_csv
+from ..simulation.metrics.summary import AFTER_COLLISION, COLLISIONS, RATE, RESULT_COLUMNS
 from . import results
 from .attribution import drive_attributions, write_attribution
 from .expansion import DriveJob, Job, attributed_drives, drives_of
-from .results import MEASURED, MeanInterval95, Row, SummaryCell, SweepFolder, by_scenario
+from .results import Row, SummaryCell, SweepFolder, by_scenario
 from .settings import DriveSweep, RenderSweep, Sweep
 
 
-def write_tables(folder: SweepFolder, sweep: Sweep, jobs: Sequence[Job]) -> dict[str, Any]:
+def write_tables(folder: SweepFolder, sweep: Sweep, jobs: Sequence[Job]) -> tuple[dict[str, Any], tuple[Table, ...]]:
     """Merge the existing rows into table.parquet, table.csv, summary.json, figures and report.html.
 
-    All files except the report are byte-identical for the same rows. Returns the summary as plain values. Raises
-    ValueError if there are no rows, and OSError if a file can't be written.
+    All files except the report are byte-identical for the same rows. Returns the summary as plain values, and the
+    tables of the report. Raises ValueError if there are no rows, and OSError if a file can't be written.
     """
     found = folder.read(jobs)
     rows = [found[job.id] for job in jobs if job.id in found]
@@ -58,21 +60,24 @@ def write_tables(folder: SweepFolder, sweep: Sweep, jobs: Sequence[Job]) -> dict
     cells = results.summarized(rows) if kind == "drive" else []
     numbers["cells"] = msgspec.to_builtins(cells)
     figures += _written_figures(folder.path / "figures", by_scenario(cell for cell in cells if cell.runs))
+    table_of("Rows", results.columns_of(kind), rows).write_csv(folder.path / "table.csv")
     for name, data in (
         ("table.parquet", results.rows_parquet(rows, kind)),
-        ("table.csv", table_csv(list(results.columns_of(kind)), rows).encode()),
         ("summary.json", results.indented_json(numbers)),
     ):
         with whole_file(folder.path / name) as partial:
             partial.write_bytes(data)
-    page = sweep_report_page(folder.path.name, sweep, numbers, rows, cells, figures, shares)
-    write_report(folder.path / "report.html", page)
-    return numbers
+    tables = tuple(_tables(sweep, rows, cells, shares))
+    write_report(folder.path / "report.html", sweep_report_page(folder.path.name, sweep, numbers, figures, tables))
+    return numbers, tables
 
 
 def _written_figures(folder: Path, scenarios: Sequence[Sequence[SummaryCell]]) -> list[ReportFigure]:
     """Write one PNG per scenario and scene, and one of the boundary of failure; equal names get a number."""
-    bands = "Bands: 95 %, over the seeds; of collisions Wilson's interval, of means a bootstrap."
+    bands = (
+        "Bands: 95 %, over the seeds; of collisions Wilson's interval, of means a bootstrap. C and S are those of "
+        "drives without a collision."
+    )
     shares = "Share of the drives with a collision; the line is at one half, the boundary of failure."
     figures: list[ReportFigure] = []
     names: list[str] = []
@@ -160,7 +165,7 @@ def _curve(
     points = [(intensity, spread) for intensity, spread in values if spread is not None]
     x = [each + aside for each, _ in points]
     spreads = [each for _, each in points]
-    color, means = style.color, [each.mean for each in spreads]
+    color, means = style.color, [each.value for each in spreads]
     panel.plot(x, means, linestyle=style.line, marker=style.marker, color=color, label=label, ms=4)
     if len(points) > 1:
         panel.fill_between(x, [s.low for s in spreads], [s.high for s in spreads], color=color, alpha=style.band, lw=0)
@@ -241,7 +246,7 @@ def _draw_boundary(
     for cell in cells:
         if cell.collision_rate is not None:
             place = tuple(each.index(getattr(cell.variant, name)) for name, each in zip(axes, values, strict=True))
-            rates[place] = cell.collision_rate.mean
+            rates[place] = cell.collision_rate.value
     if len(axes) == 1:
         panel.plot(values[0], rates, marker="o", color="C3")
         panel.axhline(0.5, color="0.4", lw=1)
@@ -264,10 +269,9 @@ _CHANGED = ("min_ttc_s", "planned_point_collision_rate", "comfort_executed")
 
 
 def sweep_report_page(
-    name: str, sweep: Sweep, numbers: dict[str, Any], rows: Sequence[Row], cells: Sequence[SummaryCell],
-    figures: Sequence[ReportFigure], shares: Sequence[Attribution] = (),
-) -> RunReport:  # fmt: skip
-    """Return the report page of a sweep; `numbers` is its summary, `shares` its attribution, if it has one."""
+    name: str, sweep: Sweep, numbers: dict[str, Any], figures: Sequence[ReportFigure], tables: Sequence[Table]
+) -> RunReport:
+    """Return the report page of a sweep; `numbers` is its summary."""
     notes = [f"{count} of {numbers['rows']} failed: {error}" for error, count in list(numbers["errors"].items())]
     if numbers["rows"] < numbers["jobs"]:
         notes.insert(0, f"{numbers['jobs'] - numbers['rows']} of {numbers['jobs']} jobs have not been done yet.")
@@ -279,13 +283,6 @@ def sweep_report_page(
         for name, value in msgspec.to_builtins(sweep).items()
         if value is not None
     }
-    tables: list[ReportTable] = [share_table(shares)] if shares else []
-    for own in by_scenario(cells):
-        tables.append(scenario_table(own))
-        tables += [change_table(own)] if any(cell.changes for cell in own) else []
-    if isinstance(sweep, RenderSweep):
-        columns = ("scene", "intensity_mm_h", "seed", "cameras", "frames", "sizes_px", "drops", "clip", "error")
-        tables.append(ReportTable("Clips", columns, tuple(tuple(row[name] for name in columns) for row in rows)))
     return RunReport(
         title=f"Sweep {name}",
         settings=settings,
@@ -296,49 +293,50 @@ def sweep_report_page(
     )
 
 
-def scenario_table(cells: Sequence[SummaryCell]) -> ReportTable:
+def _tables(
+    sweep: Sweep, rows: Sequence[Row], cells: Sequence[SummaryCell], shares: Sequence[Attribution]
+) -> Iterator[Table]:
+    """Tables of each scenario, of the shares of rain's factors, and of clips; the first has the definitions."""
+    for place, own in enumerate(by_scenario(cells)):
+        yield scenario_table(own, defines=place == 0)
+        if any(cell.changes for cell in own):
+            yield change_table(own)
+    if shares:
+        yield share_table(shares)
+    if isinstance(sweep, RenderSweep):
+        named = "scene", "intensity_mm_h", "seed", "cameras", "frames", "sizes_px", "drops", "clip", "error"
+        yield table_of("Clips", named, rows)
+
+
+def scenario_table(cells: Sequence[SummaryCell], *, defines: bool = True) -> Table:
     """Return the table of one scenario in one scene: a row per agent and intensity."""
-    banded, *plain = MEASURED  # summary.json has the intervals of all
     failed = any(cell.failed for cell in cells)
-    columns = (
-        "agent", "R (mm/h)", "drives", *(["failed"] if failed else []), "collisions", "95 %",
-        MEASURED[banded], "95 %", *(MEASURED[name] for name in plain),
-    )  # fmt: skip
-    rows = tuple(
+    measured = [each if defines else replace(each, definition="") for each in (COLLISIONS, *RESULT_COLUMNS.values())]
+    rows: list[tuple[Cell, ...]] = [
         (
-            cell.title,
-            cell.intensity_mm_h,
-            cell.runs,
-            *([cell.failed] if failed else []),
-            *_pair(cell.collision_rate),
-            *_pair(cell.means.get(banded)),
-            *(_pair(cell.means.get(name))[0] for name in plain),
+            cell.title, cell.intensity_mm_h, cell.runs, *([cell.failed] if failed else []),
+            cell.collision_rate, *(cell.means.get(name) for name in RESULT_COLUMNS),
         )
         for cell in cells
-    )
-    caption = (
-        "Collisions: share of the drives, with Wilson's interval. C and S are the paper's, of points or frames of the "
-        "plans, and of the motion as driven or as planned; means over the seeds, with bootstrap intervals."
-    )
-    return ReportTable(f"{cells[0].scenario}, {cells[0].scene}", columns, rows, 2, caption)
+    ]  # fmt: skip
+    titled = Column("Agent"), RATE, Column("drives"), *(columns(["failed"]) if failed else ()), *measured
+    return Table(f"{cells[0].scenario}, {cells[0].scene}", titled, rows, AFTER_COLLISION)
 
 
-def change_table(cells: Sequence[SummaryCell]) -> ReportTable:
+def change_table(cells: Sequence[SummaryCell]) -> Table:
     """Return the paired differences caused by rain: a row per agent and intensity above the lowest."""
-    columns = ("agent", "R (mm/h)", "pairs", *(each for name in _CHANGED for each in (MEASURED[name], "95 %")))
-    changed = [cell for cell in cells if cell.changes]
-    rows = tuple(
+    measured = [replace(RESULT_COLUMNS[name], definition="") for name in _CHANGED]
+    signed = [replace(each, format=f"+{each.format}") for each in measured]
+    rows: list[tuple[Cell, ...]] = [
         (
-            cell.title,
-            cell.intensity_mm_h,
-            max(each.count for each in cell.changes.values()),
-            *(each for name in _CHANGED for each in _pair(cell.changes.get(name))),
+            cell.title, cell.intensity_mm_h, max(each.n for each in cell.changes.values()),
+            *(cell.changes.get(name) for name in _CHANGED),
         )
-        for cell in changed
+        for cell in cells if cell.changes
+    ]  # fmt: skip
+    caption = (
+        "Differences from the lowest intensity, each drive's from the one of the same seed; of C and S, where neither "
+        "of the two has a collision."
     )
-    caption = "Differences from the lowest intensity, each drive's from the one of the same seed."
-    return ReportTable(f"{cells[0].scenario}, {cells[0].scene}: what rain changes", columns, rows, 2, caption)
-
-
-def _pair(spread: MeanInterval95 | None) -> tuple[float | None, str]:
-    return (None, "") if spread is None else (spread.mean, f"{spread.low:.2f} to {spread.high:.2f}")
+    titled = Column("Agent"), RATE, Column("pairs"), *signed
+    return Table(f"{cells[0].scenario}, {cells[0].scene}: what rain changes", titled, rows, caption)

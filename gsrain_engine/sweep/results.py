@@ -14,13 +14,12 @@ from typing import Any, NamedTuple
 
 import msgspec
 from msgspec import Struct, inspect
-from scipy.stats import binomtest
 
-from ..evaluation.image_metrics import CONFIDENCE, mean_interval
+from ..report.interval import Interval
 from ..safe_io.limits import read_file
 from ..safe_io.text_files import printable_line
 from ..scene.files import whole_file
-from ..simulation.metrics.summary import DriveMetrics
+from ..simulation.metrics.summary import RESULT_COLUMNS, DriveMetrics, is_measured, mean_of
 from ..simulation.rollout_io import write_rollout
 from .expansion import Job
 from .settings import Sweep, Variant
@@ -109,24 +108,8 @@ def indented_json(value: Any) -> bytes:
 
 # Summary
 
-MEASURED: dict[str, str] = {
-    "min_ttc_s": "min TTC (s)",
-    "planned_point_collision_rate": "C points",
-    "planned_frame_collision_rate": "C frames",
-    "comfort_executed": "S driven",
-    "comfort_planned": "S planned",
-    "route_completion": "route",
-}
-"""Summarized columns and their titles in tables."""
-
-
-class MeanInterval95(Struct, frozen=True):
-    """A mean with its 95 % interval."""
-
-    mean: float
-    low: float
-    high: float
-    count: int  # number of runs with a value
+MEASURED = (*RESULT_COLUMNS, "planned_frame_collision_rate", "route_completion")
+"""Summarized columns."""
 
 
 class SummaryCell(Struct, frozen=True, kw_only=True):
@@ -140,11 +123,11 @@ class SummaryCell(Struct, frozen=True, kw_only=True):
     runs: int  # number of finished runs, without failed ones
     failed: int
     collisions: int
-    collision_rate: MeanInterval95 | None  # share of the runs with a collision, with Wilson's interval (Wilson 1927)
-    means: dict[str, MeanInterval95]
+    collision_rate: Interval | None  # share of the runs with a collision, with Wilson's interval (Wilson 1927)
+    means: dict[str, Interval]
     """Means over the seeds of the columns in `MEASURED`, with bootstrap intervals; columns without values are left out.
-    """
-    changes: dict[str, MeanInterval95]
+    C and S are those of drives without a collision."""
+    changes: dict[str, Interval]
     """Like `means`, for paired differences from the lowest intensity with the same seed: the effect of rain."""
 
     @property
@@ -175,18 +158,14 @@ def by_scenario(cells: Iterable[SummaryCell]) -> list[list[SummaryCell]]:
 def _summary_cell(group: "_Group", intensity: float, rows: Sequence[Row], lowest: Sequence[Row]) -> SummaryCell:
     finished = [row for row in rows if row["status"] == FINISHED]
     collisions = sum(bool(row["collision"]) for row in finished)
-    means = {name: _spread([_number(row[name]) for row in finished if row[name] is not None]) for name in MEASURED}
+    means = {name: mean_of(name, finished) for name in MEASURED}
     before = {row["seed"]: row for row in lowest if row["status"] == FINISHED and rows is not lowest}
     pairs = [(row, before[row["seed"]]) for row in finished if row["seed"] in before]
-    changes: dict[str, MeanInterval95 | None] = {}
+    changes: dict[str, Interval | None] = {}
     for name in MEASURED:
-        known = [(now[name], dry[name]) for now, dry in pairs if now[name] is not None and dry[name] is not None]
-        changes[name] = _spread([_number(now) - _number(dry) for now, dry in known])
-    rate = None
-    if finished:
-        interval = binomtest(collisions, len(finished)).proportion_ci(CONFIDENCE, method="wilson")
-        share = collisions / len(finished)
-        rate = MeanInterval95(share, float(interval.low), float(interval.high), len(finished))
+        known = [pair for pair in pairs if all(is_measured(name, row) for row in pair)]
+        differences = [_number(now[name]) - _number(dry[name]) for now, dry in known]
+        changes[name] = Interval.bootstrap(differences, "pairs") if differences else None
     return SummaryCell(
         scene=group.scene,
         scenario=group.scenario,
@@ -196,14 +175,10 @@ def _summary_cell(group: "_Group", intensity: float, rows: Sequence[Row], lowest
         runs=len(finished),
         failed=len(rows) - len(finished),
         collisions=collisions,
-        collision_rate=rate,
+        collision_rate=Interval.wilson(collisions, len(finished), "drives") if finished else None,
         means={name: each for name, each in means.items() if each is not None},
         changes={name: each for name, each in changes.items() if each is not None},
     )
-
-
-def _spread(values: list[float]) -> MeanInterval95 | None:
-    return MeanInterval95(*mean_interval(values), len(values)) if values else None
 
 
 class _Group(NamedTuple):

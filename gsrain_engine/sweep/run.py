@@ -102,4 +102,4 @@ def run_sweep_and_report(
     target, jobs = SweepFolder(folder), jobs_of(sweep)
     target.describe(sweep, jobs)
     yield from run_sweep(target.to_do(jobs), engine or LocalPool(), target)
-    return write_tables(target, sweep, jobs)
+    return write_tables(target, sweep, jobs)[0]

@@ -15,12 +15,12 @@ from jaxtyping import Bool, Float32, Shaped, UInt8
 from ..datasets.capture import Capture, CaptureError, CaptureFrame
 from ..datasets.depth_maps import DepthPriors, depth_priors
 from ..datasets.masks import moving_boxes, static_mask
-from ..evaluation.image_metrics import ImageDistance
+from ..evaluation.image_metrics import ImageDistance, compare_images
 from ..evaluation.lpips import Lpips
 from ..evaluation.lpips_weights import find_lpips_weights, read_lpips_weights
-from ..evaluation.report import ReportCurve, RunReport, write_report
-from ..evaluation.report_charts import ImageComparison
 from ..render.gsplat_build import GsplatBuildError, build_gsplat
+from ..report.charts import ImageComparison
+from ..report.page import ReportCurve, RunReport, write_report
 from ..safe_io.numpy_files import read_archive
 from ..scene.formats.scene_files import write_scene
 from ..scene.gaussians import Gaussians
@@ -407,7 +407,7 @@ def write_training_report(file: Path, result: TrainingReport) -> None:
     for each in [each for each in result.pictures if each.is_held_out] or result.pictures:
         truth = each.truth.astype(np.float32) / 255
         name = each.score.name if each.is_held_out else f"{each.score.name} (learned from)"
-        compared = ImageComparison.measured(name, np.clip(each.rendered, 0, 1), truth, each.valid)
+        compared = compare_images(name, np.clip(each.rendered, 0, 1), truth, each.valid)
         comparisons.append(replace(compared, lpips=each.score.lpips))
     settings = {key: str(value) for key, value in msgspec.to_builtins(result.settings).items()}
     report = RunReport(

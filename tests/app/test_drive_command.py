@@ -72,7 +72,7 @@ def test_an_oracle_stops_at_every_intensity(scenario, tmp_path, reported):
     for ending in ("jsonl", "parquet", "xosc"):
         assert (tmp_path / f"standing_oracle-idm_12mm_seed0.{ending}").stat().st_size > 1000
     assert not list(tmp_path.glob("*.mp4"))
-    assert "| standing | oracle-idm | Clear | No |" in (tmp_path / "table.md").read_text()
+    assert "| standing | oracle-idm | 0 | no |" in (tmp_path / "table.md").read_text()
 
 
 @pytest.mark.parametrize(("client", "words"), [("no-such-program", "no-such-program"), ("false", "exit code 1")])

@@ -99,7 +99,7 @@ def test_report_and_unlabeled_pairs(real, reported, tmp_path, monkeypatch):
     assert (light["ours"][0]["exposure_s"], heavy["ours"][0]["exposure_s"]) == (0.008, 0.012)
     assert (light["numbers"], heavy["numbers"]) == ([1, 2, 3, 4, 5, 6], [2, 3, 4, 5, 6, 7])
     text = page.read_text()
-    assert "| | 1.5 mm/h | 6 mm/h |" in text and "| Shutter of ours, ms | 8 | 12 |" in text
+    assert "|  | 1.5 mm/h, real | 1.5 mm/h, ours |" in text and "| Shutter of ours, ms | - | 8 | - | 12 |" in text
     key = json.loads((tmp_path / "pairs_key.json").read_text())["pairs"]
     assert [each["picture"] for each in key] == sorted(each.name for each in pairs.iterdir())
     assert len(key) == 6 and {each["real"] for each in key} <= {"left", "right"}
@@ -151,7 +151,7 @@ def test_a_scene_is_scanned_and_rained_on(tmp_path, reported, capsys):
     assert (out / "lidar.png").read_bytes().startswith(b"\x89PNG")
     page = (out / "report.html").read_text()
     share = 100 * sum(row["kept"] for row in heavy) / sum(row["clear"] for row in heavy)
-    assert "four rings" in page and f">{share:.2f}<" in page
+    assert "four rings" in page and f">{share:.2f}%<" in page
     assert "kept" in capsys.readouterr().out
     assert json.loads((out / "lidar.json").read_text()) == report
     assert report["seeds"] == [0, 1] and report["versions"]["gsrain"]

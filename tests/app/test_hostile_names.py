@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from app.console import Console, Table, bold, print_lines, run_with_progress, use_any_encoding
+from app.console import Console, print_lines, run_with_progress, use_any_encoding
 from app.console import print as print_line
 from app.main import BAD_INPUT, run
-from gsrain_engine.evaluation.report import ReportTable, RunReport, report_page
+from gsrain_engine.report.page import RunReport, report_page
+from gsrain_engine.report.table import Table, columns
 from gsrain_engine.safe_io.text_files import escape_invisible, figure_words
 from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.scene.progress import Progress
@@ -100,7 +101,7 @@ def test_nor_in_a_terminal(place, capsys, monkeypatch):
         monkeypatch.setenv(variable, value)
     assert run(["evaluate", "images", *_two(place)]) == 0
     out, err = capsys.readouterr()
-    assert "\x1b[1m" in out  # a terminal it is: the line of means is bold
+    assert "\x1b[" in err  # a terminal it is: the bar has colors
     assert ESCAPED.replace("/", "") in clean(out)
     clean(err)
     run_with_progress(work())
@@ -108,16 +109,14 @@ def test_nor_in_a_terminal(place, capsys, monkeypatch):
 
 
 def test_tables_and_lines(tmp_path, capsys, monkeypatch):
-    table = Table(f"name {NAME}", title=f"title {NAME}", box=None)
-    table.add_row(f"[bold]{NAME}")
-    table.add_row(bold(f"bold {NAME}"))
+    table = Table("", columns((f"name_{NAME}".replace(" ", "_"),)), [(f"[bold]{NAME}",)], f"caption {NAME}")
+    print_lines(table.text)
     console = Console(width=300)
-    console.print(table)
     console.print(f":warning: {NAME}", style="dim")
     print_line(NAME, 3)
     print_lines(f"one {NAME.replace(chr(10), '')}\ntwo\n")
     printed = clean(capsys.readouterr().out)
-    for words in ("name ", "title ", "[bold]", "bold ", ":warning: "):
+    for words in ("name_", "[bold]", "caption ", ":warning: "):
         assert words + ESCAPED in printed
     assert f"\n{ESCAPED} 3\n" in printed and printed.endswith("\ntwo\n")
     with (tmp_path / "out").open("w", encoding="ascii") as stream:
@@ -146,7 +145,7 @@ def test_pages_and_figures():
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    table = ReportTable(NAME, ("column",), ((NAME,),))
+    table = Table(NAME, columns(("column",)), ((NAME,),))
     report = RunReport(f"<script>{NAME}", {NAME: NAME}, problems=(NAME,), notes=(NAME,), tables=(table,))
     page = clean(report_page(report))
     assert page.count(ESCAPED) >= 5 and "<script>\\x1b" not in page

@@ -13,9 +13,8 @@ from gsrain_engine.evaluation.compare_results import (
     ComparedMethod,
     ComparisonPairs,
     TransferComparison,
-    comparison_csv,
+    comparison_table,
     load_comparison,
-    markdown_table,
     plain_row,
 )
 from gsrain_engine.evaluation.compare_translators import (
@@ -29,8 +28,8 @@ from gsrain_engine.evaluation.compare_translators import (
 )
 from gsrain_engine.evaluation.fid import open_extractor
 from gsrain_engine.evaluation.fid_features import ExtractorChoice
-from gsrain_engine.evaluation.report import input_fingerprint
 from gsrain_engine.presets import shipped_config_names
+from gsrain_engine.report.page import input_fingerprint
 from tests.app.picture_sets import write_pictures
 from tests.training.drive_capture import drive_capture
 
@@ -77,12 +76,12 @@ def test_stopped_runs_resume_with_the_next_method(started, tmp_path):
     assert [each.name for each in (tmp_path / "out").iterdir()] == ["clear"]
     result, second = finished(work()), finished(work())
     assert (result.reused, second.reused) == (("clear",), ("clear", "wet"))
-    assert markdown_table(second.rows) == markdown_table(result.rows)
+    assert comparison_table(second.rows).markdown == comparison_table(result.rows).markdown
     assert (second.figure == result.figure).all()
-    for row, cells in zip(result.rows, csv.DictReader(io.StringIO(comparison_csv(result.rows))), strict=True):
+    for row, cells in zip(result.rows, csv.DictReader(io.StringIO(comparison_table(result.rows).csv)), strict=True):
         found = row.everywhere
         numbers = [float(cells[name]) for name in ("error before", "error after", "KD-pixels16 x1000", "ratio")]
-        expected = [255 * found.before.rmse, 255 * found.after.rmse, 1000 * row.distance.kernel, found.ratio]
+        expected = [255 * found.before.rmse, 255 * found.after.rmse, 1000 * row.distance.kernel.value, found.ratio]
         assert numbers == pytest.approx(expected)
         assert plain_row(row)["rmse_before"] == found.before.rmse
 

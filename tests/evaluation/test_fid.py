@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec import structs
 from PIL import Image
 
 from gsrain_engine.datasets.open_capture import open_capture
@@ -11,7 +12,6 @@ from gsrain_engine.evaluation import fid as module
 from gsrain_engine.evaluation.fid import (
     PLACE,
     FeatureCache,
-    SameDistribution,
     distribution_distance,
     extract_features,
     frechet_distance,
@@ -166,7 +166,8 @@ def test_frechet_interval_has_the_width_of_new_sets(shift, scale):
         return points(60, FEATURES, random), points(50, FEATURES, random, shift, scale)
 
     true = np.array([frechet_distance(*sets()) for _ in range(200)])
-    intervals = np.array([frechet_interval(*sets(), 60, seed) for seed in range(20)])
+    found = [frechet_interval(*sets(), 60, seed) for seed in range(20)]
+    intervals = np.array([(each.low, each.high) for each in found])
     assert np.count_nonzero((intervals[:, 0] <= true.mean()) & (true.mean() <= intervals[:, 1])) >= 17
     assert 0.8 < np.mean(np.ptp(intervals, axis=1)) / (3.92 * true.std()) < 1.7
 
@@ -178,8 +179,8 @@ def test_same_distribution_is_that_of_new_sets(n, m):
     estimates = [
         same_distribution(points(n, FEATURES, random), points(m, FEATURES, random, 0.5), 20, seed) for seed in range(12)
     ]
-    assert np.mean([each.mean for each in estimates]) == pytest.approx(np.mean(true), rel=0.08)
-    assert all(each.interval.low < each.mean < each.interval.high for each in estimates)
+    assert np.mean([each.value for each in estimates]) == pytest.approx(np.mean(true), rel=0.08)
+    assert all(each.low < each.value < each.high for each in estimates)
 
 
 def test_seed_determines_the_intervals():
@@ -189,7 +190,7 @@ def test_seed_determines_the_intervals():
     steps: list[None] = []
     frechet_interval(real, fake, 30, 5, lambda: steps.append(None))
     assert len(steps) == 30
-    assert np.isfinite(frechet_interval(real[:2], fake[:2], 20, 0)).all()
+    assert np.isfinite(frechet_interval(real[:2], fake[:2], 20, 0).half_width)
 
 
 def test_warning_depends_on_the_bias_of_small_samples():
@@ -197,9 +198,9 @@ def test_warning_depends_on_the_bias_of_small_samples():
     few = points(12, FEATURES, 2), points(12, FEATURES, 3)
     value, same = frechet_distance(*few), same_distribution(*few, 40, 0)
     assert f"{value:.4g} tells no difference" in small_sample_warning(extractor, value, (12, 12), same)
-    assert "take KID" in small_sample_warning(extractor, 3 * same.interval.high, (12, 12), same)
-    assert small_sample_warning(extractor, 100 * same.mean, (12, 12), same) is None
-    assert small_sample_warning(extractor, 1.0, (9, 9), SameDistribution(0.09, same.interval)) is None
+    assert "take KID" in small_sample_warning(extractor, 3 * same.high, (12, 12), same)
+    assert small_sample_warning(extractor, 100 * same.value, (12, 12), same) is None
+    assert small_sample_warning(extractor, 1.0, (9, 9), structs.replace(same, value=0.09)) is None
 
 
 # Sets of images
@@ -219,17 +220,17 @@ def test_sets_are_compared(tmp_path):
     alike, other = (distribution_distance(PIXELS, real, each, resamples=40) for each in (fake, dark))
     assert (alike.metric, alike.kernel_metric, alike.real, alike.fake) == ("FD-pixels16", "KD-pixels16", "a", "b")
     assert (other.real_pictures, other.fake_pictures, other.features, len(steps)) == (14, 10, 160, 14)
-    assert alike.kernel_interval.low <= 0 <= alike.kernel_interval.high and other.kernel_interval.low > 0
-    assert alike.frechet <= alike.same.interval.high < other.frechet
-    assert other.frechet_interval.low < other.frechet < other.frechet_interval.high
+    assert alike.kernel.low <= 0 <= alike.kernel.high and other.kernel.low > 0
+    assert alike.frechet.value <= alike.same.high < other.frechet.value
+    assert other.frechet.low < other.frechet.value < other.frechet.high
     assert distribution_distance(PIXELS, real, dark, resamples=40) == other
-    assert distribution_distance(PIXELS, real, dark, resamples=40, seed=1).kernel_interval != other.kernel_interval
+    assert distribution_distance(PIXELS, real, dark, resamples=40, seed=1).kernel != other.kernel
     (tmp_path / "a" / "copy.png").write_bytes(sorted((tmp_path / "a").iterdir())[0].read_bytes())
     own = distribution_distance(PIXELS, features_of(tmp_path / "a"), real, resamples=30)
     assert own.shared_pictures == 14 and any("14 pictures are in both sets" in each for each in own.warnings)
     assert any(each.startswith("1 of the 15 real pictures") for each in own.warnings)
     own = distribution_distance(PIXELS, real, real, resamples=30)
-    assert (own.frechet, own.kernel) == pytest.approx((0, 0), abs=1e-9)
+    assert (own.frechet.value, own.kernel.value) == pytest.approx((0, 0), abs=1e-9)
 
 
 def test_features_are_cached_by_content_and_extractor(tmp_path, monkeypatch):

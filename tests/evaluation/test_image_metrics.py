@@ -8,11 +8,9 @@ import pytest
 from gsrain_engine.evaluation.image_metrics import (
     check_pair,
     fitted_affine,
-    mean_interval,
     psnr,
     ssim,
     ssim_map,
-    wilson_interval,
     window,
     with_affine,
 )
@@ -115,29 +113,3 @@ def test_affine_color_map_is_fitted():
     assert fitted_affine(x, with_affine(x, affine), mask) == pytest.approx(affine, abs=0.02)
     assert (fitted_affine(x, x, ~mask) == np.eye(3, 4)).all()
     assert with_affine(np.full((1, 1, 3), 0.9), np.eye(3, 4) * 2).max() == 1
-
-
-@pytest.mark.parametrize(
-    ("hits", "of", "ends"),
-    [
-        (81, 263, (0.2553, 0.3662)), (15, 148, (0.0624, 0.1605)), (0, 20, (0.0, 0.1611)), (1, 29, (0.0061, 0.1718)),
-        (20, 20, (1 - 0.1611, 1.0)), (0, 0, (0.0, 1.0)),
-    ],
-)  # fmt: skip
-def test_wilson_intervals_of_the_literature(hits, of, ends):
-    """Newcombe 1998, table 1; the interval of all hits mirrors that of none."""
-    assert wilson_interval(hits, of) == pytest.approx(ends, abs=5e-5)
-
-
-def test_mean_interval_has_the_standard_error():
-    """Of 400 normal values: the ends are 1.96 s / sqrt(n) from the mean, within what 2000 resamples allow."""
-    values = np.random.default_rng(4).normal(30, 2, 400)
-    mean, low, high = mean_interval(values.tolist())
-    error = 1.96 * values.std() / math.sqrt(400)
-    assert mean == pytest.approx(values.mean())
-    assert (mean - low, high - mean) == pytest.approx((error, error), rel=0.1)
-    assert mean_interval(values.tolist()) == (mean, low, high) != mean_interval(values.tolist(), seed=1)
-    assert mean_interval([7.5]) == (7.5, 7.5, 7.5)
-    assert mean_interval([30.0] * 99 + [math.inf]) == (math.inf, 30, math.inf)
-    with pytest.raises(ValueError, match="at least one value"):
-        mean_interval([])

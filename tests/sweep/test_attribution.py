@@ -89,12 +89,12 @@ def test_shares_follow_from_the_rows_of_whole_seeds(scenario):
     found = {each.measure.name: each for each in drive_attributions(apart, rows)}
     assert list(found) == ["collision", "min_ttc_s", "collision_speed_m_s", "hardest_braking_m_s2"]
     assert found["collision"].seeds == (0, 1, 2, 3)
-    means = {name: share.mean for name, share in found["collision"].shares.items()}
+    means = {name: share.value for name, share in found["collision"].shares.items()}
     none = dict.fromkeys(("streaks", "medium", "mirror", "splashes", "spray"), 0)
     assert means == pytest.approx(none | {"wet": 0.5, "glass": 0.5})
-    means = {name: share.mean for name, share in found["min_ttc_s"].shares.items()}
+    means = {name: share.value for name, share in found["min_ttc_s"].shares.items()}
     assert means == pytest.approx(dict.fromkeys(means, 0) | {"streaks": -1, "glass": -1})
-    assert found["collision_speed_m_s"].whole.mean == pytest.approx(4) and found["collision"].plain["in_rain"] == 1
+    assert found["collision_speed_m_s"].whole.value == pytest.approx(4) and found["collision"].plain["in_rain"] == 1
     del rows[apart[1].jobs[frozenset({"wet"})].id]  # of seed 1
     rows[apart[2].drive.id]["status"] = "failed"
     assert {each.seeds for each in drive_attributions(apart, rows)} == {(0, 3)}
@@ -109,7 +109,7 @@ def test_a_stopped_sweep_goes_on_and_its_tables_keep_parts_of_the_rain_apart(sce
     for stops_after, known in (2, 0), (None, 5):
         for _ in run_sweep(folder.to_do(jobs)[:stops_after], SerialExecutor(), folder):
             pass
-        numbers = write_tables(folder, sweep, jobs)
+        numbers, _ = write_tables(folder, sweep, jobs)
         assert len(numbers["attribution"]) == known
     assert not folder.to_do(jobs) and len(folder.log.read_text().splitlines()) == 5
     for each in numbers["attribution"]:

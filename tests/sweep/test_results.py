@@ -62,12 +62,12 @@ def drive_row(seed, intensity, *, collision=False, ttc=2.0, failed=False, agent=
 def test_collisions_have_wilsons_interval_and_failed_runs_do_not_count():
     rows = [drive_row(seed, 8.5, collision=seed < 3) for seed in range(10)]
     cell, failed = results.summarized([*rows, drive_row(10, 8.5, failed=True), drive_row(0, 12.0, failed=True)])
-    assert (cell.runs, cell.failed, cell.collisions, cell.means["min_ttc_s"].mean) == (10, 1, 3, 2.0)
+    assert (cell.runs, cell.failed, cell.collisions, cell.means["min_ttc_s"].value) == (10, 1, 3, 2.0)
     z, n, p = 1.959963984540054, 10, 0.3
     middle, half = p + z * z / (2 * n), z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
     bounds = tuple((middle + side * half) / (1 + z * z / n) for side in (-1, 1))
     rate = cell.collision_rate
-    assert (rate.mean, rate.low, rate.high, rate.count) == pytest.approx((0.3, *bounds, 10))
+    assert (rate.value, rate.low, rate.high, rate.n) == pytest.approx((0.3, *bounds, 10))
     assert (failed.runs, failed.failed, failed.collision_rate, failed.means) == (0, 1, None, {})
 
 
@@ -77,8 +77,8 @@ def test_changes_are_those_of_the_same_seed():
     rainy = [drive_row(seed, 8.5, ttc=0.9 + seed) for seed in range(8)][::-1]
     first, second = results.summarized([*rainy, *clear, drive_row(9, 8.5, ttc=0.0)])
     change = second.changes["min_ttc_s"]
-    assert first.changes == {} and change.count == 8
-    assert change.mean == pytest.approx(-0.1) and change.high < -0.0999 < change.low + 0.001
+    assert first.changes == {} and change.n == 8
+    assert change.value == pytest.approx(-0.1) and change.high < -0.0999 < change.low + 0.001
     assert second.means["min_ttc_s"].high - second.means["min_ttc_s"].low > 1
 
 
@@ -174,7 +174,7 @@ def done(tmp_path_factory):
 
 def test_tables_figures_and_report_hold_the_rows_in_the_order_of_the_jobs(done):
     sweep, jobs, folder = done
-    numbers = write_tables(folder, sweep, jobs)
+    numbers, _ = write_tables(folder, sweep, jobs)
     assert (numbers["jobs"], numbers["rows"], numbers["failed"]) == (8, 7, 0)
     rows = results.rows_in((folder.path / "table.parquet").read_bytes())
     assert [row["id"] for row in rows] == [job.id for job in jobs[:-1]] and rows == list(folder.read(jobs).values())
@@ -186,7 +186,7 @@ def test_tables_figures_and_report_hold_the_rows_in_the_order_of_the_jobs(done):
     lines = (folder.path / "jobs.jsonl").read_text().splitlines()
     assert lines == sorted(lines) and [msgspec.json.decode(line)["id"] for line in lines] == sorted(j.id for j in jobs)
     assert '"intensities_mm_h"' in (folder.path / "sweep.json").read_text()
-    numbers = write_tables(folder, sweep, jobs[:3])  # rows of other settings are left out and counted
+    numbers, _ = write_tables(folder, sweep, jobs[:3])  # rows of other settings are left out and counted
     assert (numbers["jobs"], numbers["rows"], numbers["other_rows"]) == (3, 3, 4)
 
 

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from gsrain_engine.rain.settings import load_preset
+from gsrain_engine.report.interval import Interval
 from gsrain_engine.sweep.executors import SerialExecutor
 from gsrain_engine.sweep.expansion import jobs_of
 from gsrain_engine.sweep.report import boundary_figure, grid_axes
-from gsrain_engine.sweep.results import MeanInterval95, SummaryCell, SweepFolder, summarized
+from gsrain_engine.sweep.results import SummaryCell, SweepFolder, summarized
 from gsrain_engine.sweep.run import run_sweep_and_report
 from gsrain_engine.sweep.settings import AgentChoice, Sweep, Variant
 from gsrain_engine.trusted_code import UntrustedCodeError, command_code, trust
@@ -102,7 +103,7 @@ def test_a_grid_of_gaps_has_its_boundary_in_report_and_figures(tmp_path):
 
 
 def cell(intensity, rate, **variant):
-    spread = MeanInterval95(rate, rate, rate, 4)
+    spread = Interval(rate, rate, rate, "Wilson, 95 %", "drives", 4)
     return SummaryCell(
         scene="s", scenario="cut-in", agent="one", variant=Variant(**variant), intensity_mm_h=intensity, runs=4,
         failed=0, collisions=round(4 * rate), collision_rate=spread, means={}, changes={},

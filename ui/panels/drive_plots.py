@@ -7,13 +7,14 @@ from typing import NamedTuple
 import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui, implot
 from jaxtyping import Float64
+from msgspec import structs
 
 from gsrain_engine.editor.document import Document
 from gsrain_engine.editor.drive import RolloutPlayer, mosaic_rows
 from gsrain_engine.editor.jobs.drive import LoadedRollout, RolloutCurves
 from gsrain_engine.editor.timeline import Playback
 from gsrain_engine.scene.scene import RigCamera
-from gsrain_engine.simulation.metrics.summary import DriveMetrics
+from gsrain_engine.simulation.metrics.summary import RESULT_COLUMNS, DriveMetrics, is_measured
 
 from ..widgets.draw import OUTLINE, PLAYHEAD, color, draw_image, on_screen_px
 from ..widgets.fields import combo
@@ -156,21 +157,25 @@ def _number(field: str, form: str = ".2f", scale: float = 1.0) -> Callable[[Driv
     return text
 
 
+def _result(metric: str) -> Callable[[DriveMetrics], str]:
+    """Return the text of a metric, as the tables of `gsrain drive` and `gsrain sweep` have it."""
+    column = RESULT_COLUMNS[metric]
+
+    def text(metrics: DriveMetrics) -> str:
+        drive = structs.asdict(metrics)
+        return format(drive[metric], column.format) if is_measured(metric, drive) else column.missing
+
+    return text
+
+
 _ROWS: tuple[tuple[str, str, Callable[[DriveMetrics], str]], ...] = (
     ("End", "Reason for the end of the drive.", lambda m: m.end),
     ("Hit", "Collision partner; background is any Gaussian of the scene.", lambda m: m.collided_with or "-"),
     ("at (s)", "Time of the collision, in seconds since the start of the scenario.", _number("collision_time_s")),
     ("at (m/s)", "Speed of the ego vehicle at the collision.", _number("collision_speed_m_s")),
-    ("Min. TTC (s)", "Minimum time to collision, bumper gap over closing speed, capped at 10 s.",
-     _number("min_ttc_s")),
     ("Min. gap (m)", "Minimum bumper gap to the leader in the lane.", _number("min_gap_m")),
-    ("C, points", "Share of planned points that collide (the paper's C).",
-     _number("planned_point_collision_rate", ".1f", 100)),
-    ("C, frames", "Share of steps whose plan has any point that collides.",
-     _number("planned_frame_collision_rate", ".1f", 100)),
-    ("S, driven", "Share of steps within the paper's comfort limits, of the driven motion.",
-     _number("comfort_executed", ".3f")),
-    ("S, planned", "The same for the plans: HUGSIM's comfort.", _number("comfort_planned", ".3f")),
+    *((each.title, f"{each.definition[0].upper()}{each.definition[1:]}", _result(metric))
+      for metric, each in RESULT_COLUMNS.items()),
     ("Braking (m/s\u00b2)", "Hardest deceleration of a step.", _number("hardest_braking_m_s2")),
     ("Distance (m)", "Driven.", _number("distance_m", ".1f")),
     ("Route", "Driven share of the route ahead of the start.", _number("route_completion", ".1f", 100)),

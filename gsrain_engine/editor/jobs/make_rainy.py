@@ -14,14 +14,15 @@ from ...appearance.registry import find_method, open_transfer
 from ...appearance.scene_views import PlacedCamera, ViewChoice, chosen_cameras, evenly_spaced_indices, scene_views
 from ...appearance.wet_look.settings import WetSettings
 from ...datasets.open_capture import open_capture
-from ...evaluation.report import RunReport, write_report
-from ...evaluation.report_charts import ImageComparison
+from ...evaluation.image_metrics import compare_images
 from ...recolor.cached_colors import cached_scene, wet_color_file
 from ...recolor.problem import RecolorSettings
 from ...recolor.recolor import rainy_scene, wet_scene
 from ...recolor.result import read_recolored, with_colors
 from ...recolor.views import thumbnail
 from ...render.cpu.renderer import CpuRenderer
+from ...report.charts import ImageComparison
+from ...report.page import RunReport, write_report
 from ...safe_io.numpy_files import read_archive
 from ...scene.camera import Camera
 from ...scene.formats.scene_files import read_scene
@@ -316,4 +317,4 @@ def _compared(scene: Scene, rainy: RainyView) -> ImageComparison:
     rgba = renderer.read().rgba
     alpha = rgba[..., 3]
     drawn = np.clip(rgba[..., :3] + (1 - alpha[..., None]) * rainy.image, 0, 1)
-    return ImageComparison.measured(rainy.clear.name, drawn, rainy.image, alpha > _SOLID)
+    return compare_images(rainy.clear.name, drawn, rainy.image, alpha > _SOLID)

@@ -12,9 +12,9 @@ from ...appearance.normals import ESTIMATORS, missing_estimator_files
 from ...datasets.image_override import with_images
 from ...datasets.open_capture import open_capture
 from ...evaluation.lpips_weights import find_lpips_weights
-from ...evaluation.report import write_report
 from ...recolor.recolor import RecolorOptions, RecolorRun, recolor_to_capture
 from ...recolor.result import read_recolored, with_colors, write_recolored
+from ...report.page import write_report
 from ...safe_io.errors import MissingInputsError, not_found
 from ...scene.files import SceneFormatError
 from ...scene.formats.scene_files import read_scene

@@ -1,9 +1,7 @@
 """Results of an attribution: shares with intervals over seeds, as JSON, CSV, report table and figure."""
 
-import csv
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,12 +10,12 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from ...report.charts import series_styles
+from ...report.interval import Interval
+from ...report.table import Cell, Column, Table, columns
 from ...safe_io.text_files import figure_words
-from ...scene.files import whole_file
-from ..report import ReportTable
-from ..report_charts import series_styles
 from .factors import RainFactors, title_of
-from .shapley import Coalition, Values, shapley_shares, student_interval
+from .shapley import Coalition, Values, shapley_shares
 
 
 class Measure(NamedTuple):
@@ -28,18 +26,6 @@ class Measure(NamedTuple):
     """For tables and figures, with its unit."""
     object: str | None = None
     """Labeled object that it is about; None for all."""
-
-
-class ShareInterval(NamedTuple):
-    """A mean over the seeds with its 95 % interval; its ends are NaN for one seed."""
-
-    mean: float
-    low: float
-    high: float
-
-    @property
-    def half_width(self) -> float:
-        return (self.high - self.low) / 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,16 +48,15 @@ class Attribution:
     """Share of each factor for each seed; a seed's sum to its whole effect."""
 
     @property
-    def whole(self) -> ShareInterval:
+    def whole(self) -> Interval:
         """Effect of all factors together."""
-        return ShareInterval(*student_interval(self.rainy - self.without))
+        return Interval.student(self.rainy - self.without, "rain seeds")
 
     @property
-    def shares(self) -> dict[str, ShareInterval]:
+    def shares(self) -> dict[str, Interval]:
         """Share of each factor, over the seeds."""
-        return {
-            name: ShareInterval(*student_interval(own)) for name, own in zip(self.factors, self.by_seed.T, strict=True)
-        }
+        by_factor = zip(self.factors, self.by_seed.T, strict=True)
+        return {name: Interval.student(own, "rain seeds") for name, own in by_factor}
 
     @property
     def title(self) -> str:
@@ -82,19 +67,15 @@ class Attribution:
         """Values for JSON."""
         whole = self.whole
         shares = [
-            {"factor": name, **_finite(each), "part_of_whole": each.mean / whole.mean if whole.mean else None}
+            {"factor": name, **each.plain, "part_of_whole": each.value / whole.value if whole.value else None}
             for name, each in self.shares.items()
         ]
         return {
             **self.subject, "intensity_mm_h": self.intensity_mm_h, "measure": self.measure.name,
             "title": self.measure.title, "object": self.measure.object, "seeds": list(self.seeds),
             "coalitions": self.coalitions, "without_rain": float(self.without.mean()),
-            "in_rain": float(self.rainy.mean()), "whole": _finite(whole), "shares": shares,
+            "in_rain": float(self.rainy.mean()), "whole": whole.plain, "shares": shares,
         }  # fmt: skip
-
-
-def _finite(interval: ShareInterval) -> dict[str, float | None]:
-    return {name: None if value != value else value for name, value in interval._asdict().items()}
 
 
 def attributions(
@@ -126,19 +107,6 @@ def attributions(
 WHOLE = "whole effect"
 
 
-def share_rows(found: Iterable[Attribution]) -> list[tuple[str | float | None, ...]]:
-    """Return a row per factor, and one for the whole effect, of each attribution: see `share_table`."""
-    rows: list[tuple[str | float | None, ...]] = []
-    for each in found:
-        whole = each.whole
-        for name, own in (*((title_of(name), own) for name, own in each.shares.items()), (WHOLE, whole)):
-            part = 100 * own.mean / whole.mean if whole.mean else None
-            words = each.measure.title, each.measure.object or ""
-            ends = [None if end != end else end for end in (own.low, own.high)]
-            rows.append((*each.subject.values(), f"{each.intensity_mm_h:g}", *words, name, own.mean, *ends, part))
-    return rows
-
-
 _SHAPLEY = (
     "Shapley shares: the change when a factor is added, in the mean over the orders in which factors can be added; "
     "they sum to the whole effect, the difference between this rain and the clear scene. "
@@ -148,31 +116,37 @@ OVER = (
 )
 
 
-def share_table(found: Sequence[Attribution]) -> ReportTable:
-    """Return the table of all shares for a report."""
-    columns = (*found[0].subject, "mm/h", "measure", "object", "factor", "share", "95 % from", "95 % to", "% of whole")
-    caption = _SHAPLEY + method_of(found[0].plain) + OVER
-    return ReportTable("Shares of the factors", columns, tuple(share_rows(found)), 4, caption)
+def share_table(found: Sequence[Attribution]) -> Table:
+    """Return the table of all shares."""
+    titled = columns({**dict.fromkeys(found[0].subject, ""), "mm/h": "g", "measure": "", "object": "", "factor": ""})
+    rows: list[tuple[Cell, ...]] = []
+    for each in found:
+        whole = each.whole
+        for name, own in (*((title_of(name), own) for name, own in each.shares.items()), (WHOLE, whole)):
+            part = own.value / whole.value if whole.value else None
+            about = each.intensity_mm_h, each.measure.title, each.measure.object or "", name
+            rows.append((*each.subject.values(), *about, own, part))
+    shares = Column("change", "+.4f"), Column("of it", ".0%")
+    return Table("Shares of the factors", (*titled, *shares), rows, _SHAPLEY + method_of(found[0]) + OVER)
 
 
-def method_of(attribution: Mapping[str, Any]) -> str:
-    """Return a sentence on how shares were computed, from an attribution's plain values."""
-    seeds = len(attribution["seeds"])
-    return f"{seeds} seed{'' if seeds == 1 else 's'}, {attribution['coalitions']} coalitions a seed. "
+def method_of(attribution: Attribution) -> str:
+    """Return a sentence on how shares were computed."""
+    seeds = len(attribution.seeds)
+    return f"{seeds} seed{'' if seeds == 1 else 's'}, {attribution.coalitions} coalitions a seed. "
 
 
-def write_share_csv(file: Path, found: Sequence[Attribution]) -> None:
-    """Write the share of each factor for each seed, and the values without rain and with all of it."""
-    with whole_file(file) as temporary, temporary.open("w", encoding="utf-8", newline="") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        header = "intensity_mm_h", "measure", "object", "seed", "without_rain", "in_rain", "factor", "share"
-        writer.writerow((*found[0].subject, *header))
-        for each in found:
-            for n, seed in enumerate(each.seeds):
-                shared = each.intensity_mm_h, each.measure.name, each.measure.object or "", seed
-                ends = float(each.without[n]), float(each.rainy[n])
-                for k, name in enumerate(each.factors):
-                    writer.writerow((*each.subject.values(), *shared, *ends, name, float(each.by_seed[n, k])))
+def seed_table(found: Sequence[Attribution]) -> Table:
+    """Return the share of each factor for each seed, with the values without rain and with all of it."""
+    header = "intensity_mm_h", "measure", "object", "seed", "without_rain", "in_rain", "factor", "share"
+    rows = [
+        (
+            *each.subject.values(), each.intensity_mm_h, each.measure.name, each.measure.object or "", seed,
+            float(each.without[n]), float(each.rainy[n]), name, float(each.by_seed[n, k]),
+        )
+        for each in found for n, seed in enumerate(each.seeds) for k, name in enumerate(each.factors)
+    ]  # fmt: skip
+    return Table("Shares by seed", columns((*found[0].subject, *header)), rows)
 
 
 # Figure
@@ -207,7 +181,7 @@ def share_figure(found: Sequence[Attribution]) -> UInt8[np.ndarray, "h w 3"]:
             y, spans = [place for place, _ in drawn], [each for _, each in drawn]
             half = [0.0 if each.half_width != each.half_width else each.half_width for each in spans]
             panel.barh(
-                y, [each.mean for each in spans], 0.9 * thick, color=style.color, xerr=half,
+                y, [each.value for each in spans], 0.9 * thick, color=style.color, xerr=half,
                 error_kw={"elinewidth": 1.1, "capsize": 2.5, "ecolor": "0.25"}, label=figure_words(title, 48),
             )  # fmt: skip
         panel.axvline(0, color="0.3", lw=0.8)

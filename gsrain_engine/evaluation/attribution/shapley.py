@@ -10,7 +10,6 @@ from math import factorial
 
 import numpy as np
 from jaxtyping import Float64
-from scipy.special import stdtrit
 
 Coalition = frozenset[str]
 """Factors that are present."""
@@ -37,13 +36,3 @@ def shapley_shares(factors: Sequence[str], values: Values) -> Float64[np.ndarray
             if name not in before:
                 total[k] += weight * (values[before | {name}] - values[before])
     return total
-
-
-def student_interval(values: Sequence[float] | Float64[np.ndarray, " n"]) -> tuple[float, float, float]:
-    """Return mean, and lower and upper end of its 95 % interval by Student's t; both NaN for a single value."""
-    array = np.asarray(values, np.float64)
-    mean, n = float(array.mean()), len(array)
-    if n < 2:
-        return mean, float("nan"), float("nan")
-    half = float(stdtrit(n - 1, 0.975) * array.std(ddof=1) / np.sqrt(n))
-    return mean, mean - half, mean + half

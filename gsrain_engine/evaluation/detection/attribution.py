@@ -5,7 +5,7 @@ Also comparisons of drop sizes at equal rain rate.
 
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -17,16 +17,18 @@ from msgspec import structs
 from ...rain.calibration import load_calibration
 from ...rain.properties import rain_properties
 from ...rain.settings import RainSettings
+from ...report.charts import series_styles
+from ...report.interval import Interval
+from ...report.table import Table, columns
 from ...safe_io.text_files import figure_words
 from ...scene.scene import Scene
 from ...water.spray import has_fast_vehicles
 from ..attribution.factors import ON_WET_GROUND, RainFactors, factor_names, title_of
 from ..attribution.results import Attribution, Measure, attributions
 from ..attribution.shapley import Coalition
-from ..report_charts import series_styles
 from .figures import figure_pixels
-from .run import Condition, DetectionResult, RainVariant
-from .summary import FOUND_FROM, SeedChange, SeedSpread
+from .run import Condition, DetectionResult, RainVariant, object_rows
+from .summary import FOUND_FROM, confidence_change, few_objects
 
 NONE = "none"
 """Name of the variant without any factor."""
@@ -172,17 +174,16 @@ class DropSizeScore:
     mean_diameter_mm: float
     drops_per_m3: float
     extinction_per_m: float
-    confidence: SeedSpread
+    confidence: Interval
     """Mean over objects, 0..1, missed ones as 0."""
-    recall: SeedSpread
-    change: SeedChange
-    """Change of the mean confidence from the scene without rain, paired by seed."""
+    recall: Interval
+    change: Interval
+    """Change of the mean confidence from the scene without rain, by object and seed."""
 
     @property
     def plain(self) -> dict[str, Any]:
-        values = asdict(self)
-        values["change"] = {name: None if each != each else each for name, each in values["change"].items()}
-        return values
+        values = {each.name: getattr(self, each.name) for each in fields(self)}
+        return {name: each.plain if isinstance(each, Interval) else each for name, each in values.items()}
 
 
 def drop_size_scores(
@@ -197,34 +198,58 @@ def drop_size_scores(
         objects = dict.fromkeys(truth.id for result in by_condition[base] for truth in result.truths)
         if not objects:
             continue
-        without = _values(by_condition[base], objects)[0]
+        without = [row for result in by_condition[base] for row in object_rows(result)]
         for intensity in sorted({each.intensity_mm_h for own in conditions.values() for each in own}):
             for scale, own in conditions.items():
-                values = np.array([
-                    _values(by_condition[each], objects)[:2] for each in own if each.intensity_mm_h == intensity
-                ])  # fmt: skip
+                at = [each for each in own if each.intensity_mm_h == intensity]
+                values = np.array([_values(by_condition[each], objects)[:2] for each in at])
+                pairs = {
+                    (seed := each.seeds[0]): (
+                        [row for result in by_condition[each] for row in object_rows(result)],
+                        [row for row in without if row.seed == seed],
+                    )
+                    for each in at
+                }
                 state = rain_properties(
                     structs.replace(rain, intensity_mm_h=intensity, diameter_scale=scale), calibration
                 )
                 found.append(
                     DropSizeScore(
                         detector, intensity, scale, state.mean_diameter_mm, state.density_m3, state.extinction_per_m,
-                        SeedSpread.of(values[:, 0]), SeedSpread.of(values[:, 1]),
-                        SeedChange.of((values[:, 0] - without).tolist()),
+                        Interval.spread(values[:, 0], "rain seeds"), Interval.spread(values[:, 1], "rain seeds"),
+                        confidence_change(pairs),
                     )
                 )  # fmt: skip
     return found
 
 
+def drop_size_table(scores: Sequence[DropSizeScore]) -> Table:
+    """Table of the scores by drop size."""
+    titled = {
+        "detector": "", "mm/h": "g", "diameters x": "g", "mean diameter (mm)": ".2f", "drops per m³": ",.0f",
+        "extinction (1/km)": ".3f", "confidence": ".3f", "change": "+.3f", f"recall@{FOUND_FROM:g}": ".0%",
+    }  # fmt: skip
+    rows = [
+        (
+            each.detector, each.intensity_mm_h, each.diameter_scale, each.mean_diameter_mm, each.drops_per_m3,
+            1000 * each.extinction_per_m, each.confidence.value, each.change, each.recall.value,
+        )
+        for each in scores
+    ]  # fmt: skip
+    caption = "Rain of equal mm/h whose diameters are multiplied; means over objects and rain seeds, misses as 0."
+    return Table("Drop sizes", columns(titled), rows, caption + few_objects(each.change for each in scores))
+
+
 def drop_size_figure(scores: Sequence[DropSizeScore]) -> UInt8[np.ndarray, "h w 3"]:
-    """Draw the change of confidence over the mean diameter, with intervals over the seeds; a curve for each rate."""
+    """Draw the change of confidence over the mean diameter, with its intervals; a curve for each rate."""
     figure = Figure(figsize=(6.4, 4.0), layout="constrained")
     panel: Axes = figure.subplots()
     groups = list(dict.fromkeys((each.detector, each.intensity_mm_h) for each in scores))
     for style, (detector, intensity) in zip(series_styles(len(groups)), groups, strict=True):
         own = [each for each in scores if (each.detector, each.intensity_mm_h) == (detector, intensity)]
-        x, means = [each.mean_diameter_mm for each in own], [each.change.mean for each in own]
-        half = [0.0 if each.change.low != each.change.low else each.change.mean - each.change.low for each in own]
+        x, means = [each.mean_diameter_mm for each in own], [each.change.value for each in own]
+        sides = [(each.value - each.low, each.high - each.value) for each in (score.change for score in own)]
+        half = np.nan_to_num(np.transpose(sides))
         panel.errorbar(
             x, means, half, color=style.color, linestyle=style.line, marker=style.marker, markersize=4, capsize=2.5,
             label=f"{figure_words(detector, 28)}, {intensity:g} mm/h",

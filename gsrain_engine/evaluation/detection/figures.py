@@ -14,12 +14,13 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure, SubFigure
 from PIL import Image, ImageDraw, ImageFont
 
+from ...report.charts import SeriesStyle, series_styles
+from ...report.interval import Interval
 from ...safe_io.text_files import figure_words
-from ..report_charts import SeriesStyle, series_styles
 from .drawing import draw_boxes
 from .ground_truth import BoxXYXY
 from .run import EvaluatedImage, ObjectRow
-from .summary import ScoreByIntensity, SeedSpread, is_misclassified
+from .summary import ScoreByIntensity, is_misclassified
 
 MAX_OBJECTS = 8  # maximum number of drawn objects: those with the most frames, ties by distance
 _WIDTH_IN, _HEIGHT_IN, _DPI = 5.4, 3.9, 150
@@ -65,7 +66,7 @@ def object_figure(rows: Sequence[ObjectRow], number: Literal["confidence", "iou"
                 if originals and any(row.picture == "clear" for row in curve):
                     panel.plot([0], [float(np.mean(originals))], "x", color=style.color, markersize=7, clip_on=False)
             intensities, spreads = _over_seeds(own, number)
-            means = [each.mean for each in spreads]
+            means = [each.value for each in spreads]
             panel.plot(intensities, means, "--", color="black", linewidth=1.8, label=_mean_label(own))
             _dress(panel, figure_words(detector), _WORDS[number] if place % columns == 0 else "")
         for panel in grid[len(detectors) :]:
@@ -106,12 +107,12 @@ def precision_figure(scores: Sequence[ScoreByIntensity]) -> Figure:
         for style, detector in zip(series_styles(len(detectors)), detectors, strict=True):
             own = [each for each in scores if each.detector == detector]
             drawn = _one_without_rain(own)
-            spreads: list[SeedSpread] = [getattr(each, number) for each in drawn]
+            spreads: list[Interval] = [getattr(each, number) for each in drawn]
             _band(panel, [each.intensity_mm_h for each in drawn], spreads, style, figure_words(detector, 28))
             for each in own:
                 if each not in drawn:
                     label = f"{figure_words(detector, 28)}, pictures as taken"
-                    panel.plot([0], [getattr(each, number).mean], "x", color=style.color, label=label)
+                    panel.plot([0], [getattr(each, number).value], "x", color=style.color, label=label)
         _dress(panel, "", {"map": "mAP", "map50": "mAP50"}[number])
     _legend_at_right(figure, panels[0], _HEIGHT_IN)
     return figure
@@ -151,13 +152,15 @@ def _one_without_rain(lines: Sequence[_Line]) -> list[_Line]:
     return [each for each in lines if not (has_clear and each.picture == "original")]
 
 
-def _over_seeds(rows: Sequence[ObjectRow], number: str) -> tuple[list[float], list[SeedSpread]]:
+def _over_seeds(rows: Sequence[ObjectRow], number: str) -> tuple[list[float], list[Interval]]:
     """Rain rates, and the spread over seeds of a number's mean at each; without rain, of one kind of images."""
     by_intensity: dict[float, dict[int, list[float]]] = defaultdict(lambda: defaultdict(list))
     for row in _one_without_rain(rows):
         by_intensity[row.intensity_mm_h][row.seed].append(getattr(row, number))
     intensities = sorted(by_intensity)
-    return intensities, [SeedSpread.of(float(np.mean(each)) for each in by_intensity[r].values()) for r in intensities]
+    return intensities, [
+        Interval.spread([float(np.mean(each)) for each in by_intensity[r].values()], "rain seeds") for r in intensities
+    ]
 
 
 def _mean_label(rows: Sequence[ObjectRow]) -> str:
@@ -176,11 +179,11 @@ def _legend_at_right(figure: Figure | SubFigure, panel: Axes, height_in: float) 
     figure.legend(handles, labels, loc="outside right upper", frameon=False, fontsize=8, ncols=columns)
 
 
-def _band(panel: Axes, x: Sequence[float], spreads: Sequence[SeedSpread], style: SeriesStyle, label: str) -> None:
+def _band(panel: Axes, x: Sequence[float], spreads: Sequence[Interval], style: SeriesStyle, label: str) -> None:
     lows, highs = [each.low for each in spreads], [each.high for each in spreads]
     panel.fill_between(x, lows, highs, color=style.color, alpha=style.band, linewidth=0)
     panel.plot(
-        x, [each.mean for each in spreads], linestyle=style.line, marker=style.marker, color=style.color,
+        x, [each.value for each in spreads], linestyle=style.line, marker=style.marker, color=style.color,
         markersize=3.5, linewidth=1.4, label=label,
     )  # fmt: skip
 

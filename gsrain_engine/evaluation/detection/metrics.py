@@ -11,7 +11,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float, Float64
 
-from ..image_metrics import wilson_interval
+from ...report.interval import Interval
 from .decoders import intersection_over_union
 from .detector import Detection
 from .ground_truth import is_same_class, label_class
@@ -217,9 +217,9 @@ class DistanceRecall:
         return self.found / self.objects if self.objects else float("nan")
 
     @property
-    def interval(self) -> tuple[float, float]:
-        """95 % confidence interval (Wilson 1927), 0..1 without objects; too narrow for frames of one drive."""
-        return wilson_interval(self.found, self.objects)
+    def interval(self) -> Interval:
+        """Recall with its interval (Wilson 1927), 0..1 without objects; too narrow for frames of one drive."""
+        return Interval.wilson(self.found, self.objects, "sightings")
 
 
 def recall_by_distance(

@@ -1,16 +1,16 @@
 """Summary of detection in rain: scores by rain rate and distance, robustness, and CSV and Parquet tables."""
 
-import csv
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float64
-from scipy.special import stdtrit
 
+from ...report.interval import FEW_OBJECTS, Interval
+from ...report.table import Column, Table, columns, table_of
 from ...scene.files import whole_file
 from .ground_truth import is_same_class
 from .metrics import DistanceRecall, Robustness, average_precision, recall_by_distance, robustness
@@ -18,38 +18,6 @@ from .run import DetectionResult, Kind, ObjectRow
 
 FOUND_FROM = 0.25  # confidence from which an object counts as found in the recalls
 DISTANCES_M = (0.0, 10.0, 20.0, 30.0, 40.0, 60.0, 100.0)
-
-
-@dataclass(frozen=True, slots=True)
-class SeedSpread:
-    """A number over the seeds: its mean, and the lowest and highest seed."""
-
-    mean: float
-    low: float
-    high: float
-
-    @classmethod
-    def of(cls, values: Iterable[float]) -> "SeedSpread":
-        array = np.array(list(values), np.float64)
-        return cls(float(array.mean()), float(array.min()), float(array.max()))
-
-
-@dataclass(frozen=True, slots=True)
-class SeedChange:
-    """Per-seed difference between two conditions: mean and 95 % confidence interval (Student's t)."""
-
-    mean: float
-    low: float
-    high: float
-    """NaN both for a single seed and without rain. The interval covers the variation of drops, not of other streets."""
-
-    @classmethod
-    def of(cls, differences: Sequence[float]) -> "SeedChange":
-        values, n = np.asarray(differences, np.float64), len(differences)
-        if n < 2:
-            return cls(float(values.mean()), float("nan"), float("nan"))
-        half = float(stdtrit(n - 1, 0.975) * values.std(ddof=1) / np.sqrt(n))
-        return cls(float(values.mean()), float(values.mean()) - half, float(values.mean()) + half)
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,19 +29,19 @@ class ScoreByIntensity:
     intensity_mm_h: float
     objects: int
     """Evaluated objects over all frames; the same for each seed."""
-    confidence: SeedSpread
+    confidence: Interval
     """Mean over objects, 0..1, missed ones as 0."""
-    iou: SeedSpread
+    iou: Interval
     """Mean over objects, 0..1, missed ones as 0."""
-    recall: SeedSpread
+    recall: Interval
     """Share of objects found with a confidence of 0.25 or more; 0..1."""
-    flips: SeedSpread
+    flips: Interval
     """Share of all objects detected as another class with a confidence of 0.25 or more; 0..1."""
-    map: SeedSpread
+    map: Interval
     """COCO average precision (IoU 0.5 to 0.95), 0..1: see `AveragePrecision`."""
-    map50: SeedSpread
-    change: SeedChange | None
-    """Change of the mean confidence relative to the image without rain; None for that one."""
+    map50: Interval
+    change: Interval | None
+    """Change of the mean confidence from the images without rain, by object and seed; None for those."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,8 +58,13 @@ _Weather = tuple[str, Kind, float]
 _WITHOUT_RAIN: dict[Kind, tuple[Kind, ...]] = {"rainy": ("clear", "original"), "clear": ("original",), "original": ()}
 
 
-def scores(rows: Sequence[ObjectRow], judgements: Sequence[DetectionResult]) -> list[ScoreByIntensity]:
-    """Score each detector in each condition, detector by detector, without rain first."""
+def scores(
+    rows: Sequence[ObjectRow], judgements: Sequence[DetectionResult], scenes: Mapping[str, str] | None = None
+) -> list[ScoreByIntensity]:
+    """Score each detector in each condition, detector by detector, without rain first.
+
+    `scenes` has the scene of each frame; without it, all are of one.
+    """
     pictures: dict[_Weather, dict[int, list[DetectionResult]]] = defaultdict(lambda: defaultdict(list))
     for each in judgements:
         for seed in each.trial.seeds:
@@ -113,20 +86,19 @@ def scores(rows: Sequence[ObjectRow], judgements: Sequence[DetectionResult]) -> 
         base = next((each for each in bases if each in pictures), None)  # the condition that differs least
         change = None
         if base is not None:
-            changes = [_mean(each, "confidence") - _mean(lines[base][seed], "confidence") for seed, each in own.items()]
-            change = SeedChange.of(changes if weather[1] == "rainy" else changes[:1])
+            first = next(iter(own))
+            seeds = own if weather[1] == "rainy" else {first: own[first]}
+            change = confidence_change({seed: (each, lines[base][seed]) for seed, each in seeds.items()}, scenes)
         found.append(
             ScoreByIntensity(
                 *weather,
                 objects=len(next(iter(own.values()))),
-                confidence=SeedSpread.of(_mean(each, "confidence") for each in own.values()),
-                iou=SeedSpread.of(_mean(each, "iou") for each in own.values()),
-                recall=SeedSpread.of(
-                    float(np.mean([r.confidence >= FOUND_FROM for r in each])) for each in own.values()
-                ),
-                flips=SeedSpread.of(float(np.mean([is_misclassified(r) for r in each])) for each in own.values()),
-                map=SeedSpread.of(each.map for each in precision),
-                map50=SeedSpread.of(each.map50 for each in precision),
+                confidence=_spread(_mean(each, "confidence") for each in own.values()),
+                iou=_spread(_mean(each, "iou") for each in own.values()),
+                recall=_spread(float(np.mean([r.confidence >= FOUND_FROM for r in each])) for each in own.values()),
+                flips=_spread(float(np.mean([is_misclassified(r) for r in each])) for each in own.values()),
+                map=_spread(each.map for each in precision),
+                map50=_spread(each.map50 for each in precision),
                 change=change,
             )
         )
@@ -138,9 +110,9 @@ def robustness_of(scored: Sequence[ScoreByIntensity]) -> dict[str, Robustness]:
     found: dict[str, Robustness] = {}
     for detector in dict.fromkeys(each.detector for each in scored):
         own = [each for each in scored if each.detector == detector]
-        rainy = [each.map.mean for each in own if each.picture == "rainy"]
-        clear = [each.map.mean for each in own if each.picture == "clear"]
-        clear = clear or [each.map.mean for each in own if each.picture == "original"]
+        rainy = [each.map.value for each in own if each.picture == "rainy"]
+        clear = [each.map.value for each in own if each.picture == "clear"]
+        clear = clear or [each.map.value for each in own if each.picture == "original"]
         if rainy and clear:
             found[detector] = robustness(clear[0], rainy)
     return found
@@ -163,7 +135,8 @@ def distance_scores(rows: Sequence[ObjectRow]) -> list[DistanceScore]:
 
 def plain(score: ScoreByIntensity | DistanceScore) -> dict[str, Any]:
     """Return a score as plain values for JSON, NaN as None."""
-    return {name: _finite(value) for name, value in asdict(score).items()}
+    values = {each.name: getattr(score, each.name) for each in fields(score)}
+    return {name: _plain(value) for name, value in values.items()}
 
 
 def silent_detectors(judgements: Sequence[DetectionResult]) -> list[str]:
@@ -190,22 +163,79 @@ def _array(rows: Sequence[ObjectRow], name: str) -> Float64[np.ndarray, " n"]:
     return np.array([getattr(each, name) for each in rows], np.float64)
 
 
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {name: _finite(each) for name, each in value.items()}
-    return None if isinstance(value, float) and np.isnan(value) else value
+def _spread(values: Iterable[float]) -> Interval:
+    return Interval.spread(list(values), "rain seeds")
+
+
+def confidence_change(
+    by_seed: Mapping[int, tuple[Sequence[ObjectRow], Sequence[ObjectRow]]], scenes: Mapping[str, str] | None = None
+) -> Interval:
+    """Change of the mean confidence, from each seed's rows in rain and without it; `scenes` as for `scores`."""
+    scene_of = scenes or {}
+    keys = dict.fromkeys((scene_of.get(row.frame, ""), row.object) for rows, _ in by_seed.values() for row in rows)
+    places = {key: place for place, key in enumerate(keys)}
+    totals, counts = np.zeros((2, len(places), len(by_seed)))
+    for column, (rainy, without) in enumerate(by_seed.values()):
+        for row in rainy:
+            totals[places[scene_of.get(row.frame, ""), row.object], column] += row.confidence
+            counts[places[scene_of.get(row.frame, ""), row.object], column] += 1
+        for row in without:
+            totals[places[scene_of.get(row.frame, ""), row.object], column] -= row.confidence
+    return Interval.over_objects(totals, counts, [scene for scene, _ in places])
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Interval):
+        return value.plain
+    return asdict(value) if isinstance(value, DistanceRecall) else value
 
 
 # Result tables
 
 
+def scores_table(scored: Sequence[ScoreByIntensity]) -> Table:
+    """Table of the scores: means over objects and seeds."""
+    titled = {
+        "detector": "", "picture": "", "mm/h": "g", "objects": "", "confidence": ".3f", "change": "+.3f",
+        f"recall@{FOUND_FROM:g}": ".0%", "IoU": ".2f", "flips": ".0%", "mAP50": ".3f", "mAP": ".3f",
+    }  # fmt: skip
+    rows = [
+        (
+            each.detector, each.picture, each.intensity_mm_h, each.objects, each.confidence, each.change,
+            *(mean.value for mean in (each.recall, each.iou, each.flips, each.map50, each.map)),
+        )
+        for each in scored
+    ]  # fmt: skip
+    caption = "Means over objects and seeds, misses as 0. Change: of the confidence, from the same views without rain."
+    return Table("Scores", columns(titled), rows, caption + few_objects(each.change for each in scored))
+
+
+def few_objects(changes: Iterable[Interval | None]) -> str:
+    """Return a sentence for a caption if changes are of few objects, else nothing."""
+    fewest = min((each.n for each in changes if each is not None), default=FEW_OBJECTS)
+    if fewest >= FEW_OBJECTS:
+        return ""
+    return f" Fewer than {FEW_OBJECTS} objects ({fewest}): the intervals of changes say little about others."
+
+
+def distance_table(distances: Sequence[DistanceScore]) -> Table:
+    """Table of the recall by distance."""
+    titled = columns({"detector": "", "picture": "", "mm/h": "g", "distance (m)": "", "objects": "", "found": ""})
+    rows = [
+        (
+            each.detector, each.picture, each.intensity_mm_h, f"{each.recall.from_m:g} to {each.recall.to_m:g}",
+            each.recall.objects, each.recall.found, each.recall.interval,
+        )
+        for each in distances
+    ]  # fmt: skip
+    caption = "Frames of one drive and seeds of one view are not independent: the intervals are too narrow."
+    return Table("Recall by distance", (*titled, Column("recall", ".3f")), rows, caption)
+
+
 def write_csv(file: Path, rows: Sequence[ObjectRow]) -> None:
     """Write rows as CSV with a header; a miss has a confidence of 0, unknown values are empty."""
-    with whole_file(file) as temporary, temporary.open("w", encoding="utf-8", newline="") as stream:
-        writer = csv.DictWriter(stream, list(rows[0].plain()) if rows else [])
-        writer.writeheader()
-        for row in rows:
-            writer.writerow({k: round(v, 6) if isinstance(v, float) else v for k, v in row.plain().items()})
+    plain = [{k: round(v, 6) if isinstance(v, float) else v for k, v in row.plain().items()} for row in rows]
+    table_of("", plain[0] if plain else (), plain).write_csv(file)
 
 
 def write_parquet(file: Path, rows: Sequence[ObjectRow]) -> bool:

@@ -15,9 +15,9 @@ from matplotlib.ticker import PercentFormatter
 from ...rain.properties import RainProperties
 from ...rain.settings import RainSettings
 from ...rain.simulation import RainSimulation
+from ...report.charts import Color, shades
 from ...scene.files import whole_file
 from ...water.spray import spray_of
-from ..report_charts import Color, shades
 from .rain_echoes import DropReturnModel
 from .scan import Answer, LidarTurn, RainyScan, ReturnOutcome, scan_in_rain
 from .sensor import Beams

@@ -12,7 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
-from ...evaluation.image_metrics import MeanInterval, mean_interval
+from ...report.interval import Interval
 from ...safe_io.text_files import figure_words
 from ...scene.files import whole_file
 from ..geometry import PlanarBox, Route
@@ -175,9 +175,9 @@ def curve_band(weather: IntensityRuns, quantity: Quantity) -> CurveBand:
     for row, rollout in zip(table, rollouts, strict=True):
         row[: len(rollout.steps)] = curve_over_time(rollout, quantity)
     known = [column[np.isfinite(column)].tolist() for column in table.T]
-    columns = [mean_interval(each) if each else MeanInterval(np.nan, np.nan, np.nan) for each in known]
-    mean, low, high = (np.array(each) for each in zip(*columns, strict=True))
-    return CurveBand(times, mean, low, high)
+    bands = [Interval.bootstrap(each, "drives") if each else None for each in known]
+    ends = [(np.nan,) * 3 if each is None else (each.value, each.low, each.high) for each in bands]
+    return CurveBand(times, *np.transpose(ends))
 
 
 # Bird's-eye views

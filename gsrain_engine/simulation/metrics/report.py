@@ -2,16 +2,28 @@
 
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from importlib import metadata
 
 import msgspec
+from msgspec import structs
 
 from ...evaluation.detection.figures import figure_pixels
-from ...evaluation.report import ReportFigure, ReportTable, RunReport
+from ...report.page import ReportFigure, RunReport
+from ...report.table import Cell, Column, Table
 from ..geometry import Route
 from ..rollout import Rollout
 from .figures import birds_eye_sheet, kinematics_figure
-from .summary import DriveComparison, ScoredRun, compare_drives, results_table
+from .summary import (
+    AFTER_COLLISION,
+    RATE,
+    RESULT_COLUMNS,
+    DriveComparison,
+    ScoredRun,
+    compare_drives,
+    is_measured,
+    results_table,
+)
 
 _MAX_FROM_ABOVE = 8
 _PACKAGES = ("gsrain", "numpy", "scipy", "shapely", "numba")
@@ -40,7 +52,6 @@ def drive_report_page(
     Runs without a roll-out appear only in tables. Write it with `write_report`.
     """
     comparisons = compare_drives(runs)
-    table = results_table(comparisons)
     rollouts = [run.rollout for run in runs if run.rollout is not None]
     versions = {name: metadata.version(name) for name in _PACKAGES}
     for rollout in rollouts:
@@ -61,7 +72,7 @@ def drive_report_page(
         title="Driving in rain: " + ", ".join(dict.fromkeys(each.scenario for each in comparisons)),
         settings={**(settings or {}), **facts},
         figures=tuple(figure for each in comparisons for figure in _figures(each, (routes or {}).get(each.scene))),
-        tables=(ReportTable("Results", table.columns, table.rows, definitions=table.definitions), _runs_table(runs)),
+        tables=(results_table(comparisons), _runs_table(runs)),
         headlines={
             "runs": str(len(runs)),
             "collisions": str(sum(run.metrics.collision for run in runs)),
@@ -86,20 +97,17 @@ def _figures(comparison: DriveComparison, route: Route | None) -> list[ReportFig
 
 
 _COLUMNS = {
-    "seed": "seed", "end": "end", "duration_s": "for (s)", "collided_with": "hit", "min_ttc_s": "TTC (s)",
-    "min_gap_m": "gap (m)", "planned_point_collision_rate": "C", "planned_frame_collision_rate_hugsim": "C (frames)",
-    "comfort_planned": "S (pl.)", "comfort_executed": "S (ex.)", "pdms": "PDMS", "hdscore": "HD-score",
+    "seed": Column("seed"), "end": Column("end"), "duration_s": Column("for", ".2f", "s"),
+    "collided_with": Column("hit"), "min_gap_m": Column("gap", ".3f", "m"), **RESULT_COLUMNS,
+    "pdms": Column("PDMS", ".3f"), "hdscore": Column("HD-score", ".3f"),
 }  # fmt: skip
 
 
-def _runs_table(runs: Sequence[ScoredRun]) -> ReportTable:
-    rows: list[tuple[str | float | None, ...]] = []
-    for metrics in (run.metrics for run in runs):
-        values = {key: getattr(metrics, key) for key in _COLUMNS}
-        values["collided_with"] = values["collided_with"] or "-"
-        rows.append((metrics.scenario, metrics.agent, metrics.intensity_mm_h, *values.values()))
-    return ReportTable(
-        "Every run", ("scenario", "agent", "R (mm/h)", *_COLUMNS.values()), tuple(rows),
-        caption="All numbers, those of runs with a collision too. HD-score as in HUGSIM; the drivable area counts "
-        "where it is known.",
-    )  # fmt: skip
+def _runs_table(runs: Sequence[ScoredRun]) -> Table:
+    rows: list[tuple[Cell, ...]] = []
+    for metrics in (structs.asdict(run.metrics) for run in runs):
+        values = [metrics[name] if is_measured(name, metrics) else None for name in _COLUMNS]
+        rows.append((metrics["scenario"], metrics["agent"], metrics["intensity_mm_h"], *values))
+    columns = [replace(each, definition="") for each in _COLUMNS.values()]
+    caption = f"{AFTER_COLLISION} HD-score as in HUGSIM; the drivable area counts where it is known."
+    return Table("Every run", (Column("scenario"), Column("agent"), RATE, *columns), rows, caption)

@@ -1,20 +1,16 @@
 """Metrics of drives: one summary per run, comparisons across rain intensities, CSV and result tables."""
 
-import csv
-import io
-import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import msgspec
 import numpy as np
-from msgspec import Meta
+from msgspec import Meta, structs
 
-from ...evaluation.image_metrics import MeanInterval, mean_interval
-from ...safe_io.text_files import escape_invisible
-from ...scene.files import whole_file
+from ...report.interval import Interval
+from ...report.table import Cell, Column, Table, table_of
 from ..obstacles import Drivable, OccupiedSpace
 from ..rollout import Rollout
 from ..rollout_io import write_rollout
@@ -166,11 +162,9 @@ class IntensityRuns:
     def collisions(self) -> int:
         return sum(run.metrics.collision for run in self.runs)
 
-    def mean(self, metric: str, without_collision: bool = False) -> MeanInterval | None:
-        """Return the mean of a `DriveMetrics` field over the runs with a value, with its 95 % bootstrap interval."""
-        metrics = [each.metrics for each in self.runs if not (without_collision and each.metrics.collision)]
-        values = [float(value) for each in metrics if (value := getattr(each, metric)) is not None]
-        return mean_interval(values) if values else None
+    def mean(self, metric: str) -> Interval | None:
+        """Return the mean of a `DriveMetrics` field, see `mean_of`."""
+        return mean_of(metric, (structs.asdict(each.metrics) for each in self.runs))
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,22 +200,9 @@ def compare_drives(runs: Iterable[ScoredRun]) -> tuple[DriveComparison, ...]:
     )
 
 
-def write_metrics_csv(path: Path, metrics: Sequence[DriveMetrics]) -> None:
-    """Write all metrics atomically."""
-    with whole_file(path) as partial:
-        text = table_csv(DriveMetrics.__struct_fields__, [msgspec.structs.asdict(each) for each in metrics])
-        partial.write_bytes(text.encode())
-
-
-def table_csv(columns: Sequence[str], rows: Iterable[Mapping[str, object]]) -> str:
-    """Return rows as CSV; None is empty, booleans are true and false, numbers are not rounded."""
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(columns)
-    for row in rows:
-        values = (row.get(name) for name in columns)
-        writer.writerow([str(value).lower() if isinstance(value, bool) else value for value in values])
-    return stream.getvalue()
+def metrics_table(metrics: Sequence[DriveMetrics]) -> Table:
+    """Return all metrics of runs, by their names in `DriveMetrics`."""
+    return table_of("Metrics", DriveMetrics.__struct_fields__, map(structs.asdict, metrics))
 
 
 # Results table, as in the paper: one row per scenario, agent and intensity, followed by definitions
@@ -229,88 +210,71 @@ def table_csv(columns: Sequence[str], rows: Iterable[Mapping[str, object]]) -> s
 NOT_MEASURED = "--"
 """The paper's entry for C and S after a collision: such runs end early, so their rates cover different roads."""
 
+RATE = Column("R", "g", "mm/h")
+COLLISIONS = Column(
+    "Coll.", ".0%", definition="whether the ego vehicle's box touches a road user's or the background; of several "
+    "drives, the share.",
+)  # fmt: skip
 
-@dataclass(frozen=True, slots=True)
-class ResultsTable:
-    """Text of every cell; `DriveMetrics` holds the numbers."""
+RESULT_COLUMNS: Mapping[str, Column] = {
+    "min_ttc_s": Column(
+        "Min. TTC", ".3f", "s", definition="the least over the drive of min(d_x / (v_SUT - v_BV), 10 s), d_x the gap "
+        "from the front bumper to who is in the vehicle's lane; 10 s where nobody slower is ahead, 0 at a touch.",
+    ),
+    "planned_point_collision_rate": Column(
+        "C (all points)", ".1%", missing=NOT_MEASURED, definition="share of all planned points at which the vehicle "
+        "would touch something, at the places where road users really were at that time.",
+    ),
+    "planned_point_collision_rate_hugsim": Column(
+        "C (N = 5)", ".1%", missing=NOT_MEASURED, definition="the same without the last point of each plan, by which "
+        "six points become the paper's N of five.",
+    ),
+    "planned_frame_collision_rate_hugsim": Column(
+        "C (HUGSIM)", ".1%", missing=NOT_MEASURED, definition="share of frames with any such point, the last of each "
+        "plan left out (HUGSIM: 1 - mean nc).",
+    ),
+    "comfort_planned": Column(
+        "S (planned)", ".3f", missing=NOT_MEASURED, definition="share of frames whose plan keeps all comfort limits "
+        "(HUGSIM: acceleration -4.05..2.40 m/s2, jerk 8.37 m/s3, yaw rate 0.95 rad/s, yaw acceleration 1.93 rad/s2; "
+        "the lateral one is never felt).",
+    ),
+    "comfort_executed": Column(
+        "S (executed)", ".3f", missing=NOT_MEASURED, definition="share of driven steps that keep them, with 4.89 m/s2 "
+        "to the side.",
+    ),
+}  # fmt: skip
+"""Columns of the results of drives and of sweeps, by the fields of `DriveMetrics`."""
 
-    columns: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    definitions: tuple[str, ...]
-    """Definitions of columns."""
-
-    @property
-    def markdown(self) -> str:
-        rule = ["---" if each in _WORDS else "---:" for each in self.columns]
-        lines = [self.columns, rule, *self.rows]
-        cells = [[escape_invisible(cell).replace("|", "\\|") for cell in line] for line in lines]
-        table = "\n".join(f"| {' | '.join(line)} |" for line in cells)
-        return table + "\n\n" + "\n".join(f"* {each}" for each in self.definitions) + "\n"
-
-    @property
-    def text(self) -> str:
-        """Return the table and its definitions as plain text."""
-        lines = [self.columns, *(tuple(map(escape_invisible, row)) for row in self.rows)]
-        widths = [max(len(line[i]) for line in lines) for i in range(len(self.columns))]
-        aligned = [f"{'<' if each in _WORDS else '>'}{width}" for each, width in zip(self.columns, widths, strict=True)]
-        title, *rows = ("  ".join(map(format, line, aligned)) for line in lines)
-        rule = "  ".join("-" * width for width in widths)
-        notes = [textwrap.fill(each, max(_NARROWEST, len(rule)), subsequent_indent="  ") for each in self.definitions]
-        return "\n".join(line.rstrip() for line in (title, rule, *rows, "", *notes)) + "\n"
-
-
-_NARROWEST = 80  # minimum line width of the definitions in characters
-_WORDS = ("Scenario", "Agent")
-
-
-def results_table(comparisons: Sequence[DriveComparison]) -> ResultsTable:
-    """Build the table. Rows of several seeds show means with 95 % bootstrap intervals in brackets."""
-    has_seeds = any(len(weather.runs) > 1 for each in comparisons for weather in each.weathers)
-    columns = (*_WORDS, "R (mm/h)", "Coll.", "Min. TTC (s)", "C", "C (frames)", "S (planned)", "S (executed)")
-    rows: list[tuple[str, ...]] = []
-    for each in comparisons:
-        for weather in each.weathers:
-            hits = weather.collisions
-            rates = [
-                _text(weather.mean(f"planned_{name}", without_collision=True), 1, " %")
-                for name in ("point_collision_rate", "frame_collision_rate_hugsim")
-            ]
-            comfort = [
-                _text(weather.mean(name, without_collision=True)) for name in ("comfort_planned", "comfort_executed")
-            ]
-            rain = "Clear" if weather.intensity_mm_h == 0 else f"{weather.intensity_mm_h:g}"
-            collided = f"{hits} of {len(weather.runs)}" if has_seeds else ("Yes" if hits else "No")
-            ttc = _text(weather.mean("min_ttc_s"))
-            rows.append((each.scenario, each.agent, rain, collided, ttc, *rates, *comfort))
-    return ResultsTable(columns, tuple(rows), _definitions(comparisons, has_seeds))
+AFTER_COLLISION = f"{NOT_MEASURED}: no value after a collision, as in the paper; table.csv has the numbers."
 
 
-def _text(value: MeanInterval | None, digits: int = 3, unit: str = "") -> str:
-    if value is None:
-        return NOT_MEASURED
-    mean, low, high = (f"{100 * each if unit else each:.{digits}f}" for each in value)
-    return mean + unit if value.low == value.high else f"{mean} ({low}..{high}){unit}"
+def is_measured(metric: str, drive: Mapping[str, Any]) -> bool:
+    """Return whether a drive's metric is known and has a meaning: after a collision, C and S have none."""
+    column = RESULT_COLUMNS.get(metric)
+    until_collision = column is not None and column.missing == NOT_MEASURED
+    return drive[metric] is not None and not (until_collision and drive["collision"])
 
 
-def _definitions(comparisons: Sequence[DriveComparison], has_seeds: bool) -> tuple[str, ...]:
-    metrics = [run.metrics for each in comparisons for run in each.runs]
+def mean_of(metric: str, drives: Iterable[Mapping[str, Any]]) -> Interval | None:
+    """Return the mean of a metric over the drives in which `is_measured`, with its interval; None without any."""
+    values = [float(each[metric]) for each in drives if is_measured(metric, each)]
+    return Interval.bootstrap(values, "drives") if values else None
+
+
+def results_table(comparisons: Sequence[DriveComparison]) -> Table:
+    """Build the table; rows of several seeds have means with intervals."""
+    weathers = [(each, weather) for each in comparisons for weather in each.weathers]
+    has_seeds = any(len(weather.runs) > 1 for _, weather in weathers)
+    rows: list[tuple[Cell, ...]] = []
+    for each, weather in weathers:
+        hits, of = weather.collisions, len(weather.runs)
+        collided = Interval.wilson(hits, of, "drives") if has_seeds else hits > 0
+        means = (weather.mean(metric) for metric in RESULT_COLUMNS)
+        rows.append((each.scenario, each.agent, weather.intensity_mm_h, collided, *means))
+    titled = Column("Scenario"), Column("Agent"), RATE, COLLISIONS, *RESULT_COLUMNS.values()
+    metrics = [run.metrics for _, weather in weathers for run in weather.runs]
     points = " or ".join(str(each) for each in sorted({each.planned_points for each in metrics}))
     background = all(each.with_background for each in metrics)
-    against = "road users or the background" if background else "road users (the background was not tested)"
-    seeds = (
-        "Several seeds: means with 95 % bootstrap intervals; C and S over the runs without a collision. "
-        if has_seeds else ""
-    )  # fmt: skip
-    return (
-        "Coll.: whether the ego vehicle's box touches a road user's or the background.",
-        "Min. TTC: the least over the run of min(d_x / (v_SUT - v_BV), 10 s), d_x the gap from the front bumper to who "
-        "is in the vehicle's lane; 10 s where nobody slower is ahead, 0 at a touch.",
-        f"C: share of all planned points (N = {points} a frame) at which the vehicle would touch {against}, at the "
-        "places where road users really were at that time.",
-        "C (frames): share of frames with any such point, the last of each plan left out (HUGSIM: 1 - mean nc).",
-        "S (planned): share of frames whose plan keeps all comfort limits (HUGSIM: acceleration -4.05..2.40 m/s2, jerk "
-        "8.37 m/s3, yaw rate 0.95 rad/s, yaw acceleration 1.93 rad/s2; the lateral one is never felt).",
-        "S (executed): share of driven steps that keep them, with 4.89 m/s2 to the side.",
-        f"{seeds}{NOT_MEASURED}: not said after a collision, as in the paper; "
-        "the numbers are in the CSV and JSON files.",
-    )
+    tested = "road users and the background" if background else "road users (the background was not tested)"
+    caption = f"Plans have N = {points} points, tested against {tested}. {AFTER_COLLISION}"
+    return Table("Results", titled, rows, caption)

@@ -5,7 +5,7 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from gsrain_engine.evaluation.attribution.shapley import MAX_FACTORS, coalitions_of, shapley_shares, student_interval
+from gsrain_engine.evaluation.attribution.shapley import MAX_FACTORS, coalitions_of, shapley_shares
 
 ABC = ("a", "b", "c")
 
@@ -45,9 +45,3 @@ def test_nine_factors_have_512_coalitions_and_more_are_refused():
     np.testing.assert_allclose(shares, 9.0)
     with pytest.raises(ValueError, match="attribute: expected at most 9 factors, got 10"):
         coalitions_of((*nine, "j"))
-
-
-def test_an_interval_of_student():
-    assert student_interval([1.0, 2.0, 3.0]) == pytest.approx((2.0, 2 - 4.302653 / 3**0.5, 2 + 4.302653 / 3**0.5))
-    mean, low, high = student_interval([1.5])
-    assert mean == 1.5 and np.isnan([low, high]).all()

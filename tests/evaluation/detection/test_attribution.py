@@ -70,7 +70,7 @@ def test_shares_of_all_objects_and_of_each_sum_to_the_whole_effect(scene, frame)
     whole = found[0]
     rainy = [by_condition[Condition("rainy", 50.0, (seed,))].matches[0].confidence for seed in SEEDS]
     np.testing.assert_allclose(whole.rainy, rainy)  # the oracle is equally sure of all
-    assert abs(whole.whole.mean) > 1e-4 and all(abs(share.mean) > 1e-5 for share in whole.shares.values())
+    assert abs(whole.whole.value) > 1e-4 and all(abs(share.value) > 1e-5 for share in whole.shares.values())
 
 
 def test_photographs_have_streaks_and_haze_before_them():
@@ -116,7 +116,7 @@ def test_drop_sizes_are_compared_at_the_same_rate(scene, frame):
     assert [each.diameter_scale for each in scores] == list(scales)
     assert scores[0].drops_per_m3 > 2 * scores[1].drops_per_m3 > 4 * scores[2].drops_per_m3
     assert scores[0].extinction_per_m > scores[1].extinction_per_m > scores[2].extinction_per_m
-    assert len({each.change.mean for each in scores}) == 3
+    assert len({each.change.value for each in scores}) == 3
     base = next(each for each in results if each.trial == clear).matches[0].confidence
-    assert scores[2].change.mean == pytest.approx(scores[2].confidence.mean - base)
+    assert scores[2].change.value == pytest.approx(scores[2].confidence.value - base)
     assert drop_size_figure(scores).shape[2] == 3

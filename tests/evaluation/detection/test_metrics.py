@@ -17,7 +17,7 @@ from gsrain_engine.evaluation.detection.metrics import (
     recall_by_distance,
     robustness,
 )
-from gsrain_engine.evaluation.image_metrics import wilson_interval
+from gsrain_engine.report.interval import Interval
 
 
 def at(x: float, width: float = 40.0, name: str = "car", confidence: float = 1.0) -> Detection:
@@ -126,7 +126,7 @@ def test_recall_between_distances_has_wilsons_interval():
     confidences = np.array([0.9, 0.25, 0.2, 0.8, 0.0, 0.7, 0.9])
     near, middle, far, none = recall_by_distance(distances, confidences, (0, 10, 20, 50, 60))
     assert [(each.objects, each.found) for each in (near, middle, far, none)] == [(1, 1), (3, 2), (2, 1), (0, 0)]
-    assert middle.recall == pytest.approx(2 / 3) and middle.interval == pytest.approx(wilson_interval(2, 3))
+    assert middle.recall == pytest.approx(2 / 3) and middle.interval == Interval.wilson(2, 3, "sightings")
     assert math.isnan(none.recall)
     assert recall_by_distance(distances, confidences, (20, 30), min_confidence=0)[0].found == 0  # a miss stays one
     with pytest.raises(ValueError, match="0, 20, 20 m"):

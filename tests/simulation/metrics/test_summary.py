@@ -9,11 +9,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec import structs
 from msgspec.structs import replace
 
-from gsrain_engine.evaluation.report import report_page
+from gsrain_engine.report.interval import Interval
+from gsrain_engine.report.page import report_page
 from gsrain_engine.simulation.metrics import figures, summary
 from gsrain_engine.simulation.metrics.report import drive_report_page, rollout_hash
+from gsrain_engine.sweep.report import scenario_table
+from gsrain_engine.sweep.results import summarized
 from small_rollout import approach, ego, rollout, step, user
 
 
@@ -26,7 +30,7 @@ def test_a_run_into_a_standing_car(tmp_path):
         "with_background": False, "dac": None, "agent": "hand",
     }  # fmt: skip
     assert {name: getattr(metrics, name) for name in expected} == pytest.approx(expected)
-    summary.write_metrics_csv(tmp_path / "runs.csv", [metrics])
+    summary.metrics_table([metrics]).write_csv(tmp_path / "runs.csv")
     (row,) = csv.DictReader((tmp_path / "runs.csv").read_text().splitlines())
     assert list(row) == list(summary.DriveMetrics.__struct_fields__) and row["collision"] == "true"
     assert {name: float(row[name]) for name in ("min_ttc_s", "distance_m")} == {"min_ttc_s": 0.0, "distance_m": 35.0}
@@ -96,21 +100,39 @@ def test_rows_go_by_intensity_and_seed_and_agents_stay_apart():
 
 def test_the_table_is_the_papers():
     table = summary.results_table(summary.compare_drives(runs()[::-1]))
-    assert table.columns[2:6] == ("R (mm/h)", "Coll.", "Min. TTC (s)", "C")
-    clear, light, heavy = table.rows
+    assert [each.title for each in table.columns[2:6]] == ["R (mm/h)", "Coll.", "Min. TTC (s)", "C (all points)"]
+    lines = table.text.splitlines()
+    start = next(k for k, line in enumerate(lines) if line.startswith("---")) + 1
+    clear, light, heavy = (line.split() for line in lines[start : start + 3])
     rate = 100 * runs()[0].metrics.planned_point_collision_rate
     # At the end of 9 moments it is at 20 m: 15 m of gap at 10 m/s.
-    assert clear[2:6] == ("Clear", "No", "1.500", f"{rate:.1f} %") and light[2] == "1.2"
-    assert heavy[2:] == ("12", "Yes", "0.000", *(4 * (summary.NOT_MEASURED,)))
-    assert table.markdown.startswith("| Scenario | Agent |") and "N = 6" in table.markdown
-    assert table.text.splitlines()[2].split()[:4] == ["made-up", "hand", "Clear", "No"] and "N = 6" in table.text
+    assert clear[:6] == ["made-up", "hand", "0", "no", "1.500", f"{rate:.1f}%"] and light[2] == "1.2"
+    assert heavy[2:] == ["12", "yes", "0.000", *(5 * [summary.NOT_MEASURED])]
+    assert table.markdown.startswith("| Scenario | Agent |") and "N = 6" in table.markdown and "N = 6" in table.text
     several = [summary.ScoredRun.of(approach(speed=v, seed=i, moments=9)) for i, v in enumerate((8.0, 9.0, 10.0))]
     (only,) = summary.compare_drives([*several, summary.ScoredRun.of(approach(seed=3, moments=20))])
     (weather,) = only.weathers
-    interval, free = weather.mean("min_ttc_s"), weather.mean("min_ttc_s", without_collision=True)
-    assert weather.collisions == 1 and interval.low < interval.mean < interval.high and free.mean > interval.mean
-    row = summary.results_table([only]).rows[0]
-    assert row[3] == "1 of 4" and ".." in row[4]
+    interval, free = weather.mean("min_ttc_s"), weather.mean("planned_point_collision_rate")
+    assert weather.collisions == 1 and interval.low < interval.value < interval.high
+    assert (interval.n, free.n, interval.over) == (4, 3, "drives")  # C is that of drives without a collision
+    assert summary.results_table([only]).rows[0][3] == Interval.wilson(1, 4, "drives")
+
+
+def test_drives_and_sweeps_have_the_same_columns():
+    """Equal names, definitions and values, whether one command or a sweep has driven."""
+    driven = [run.metrics for run in runs()]
+    table = summary.results_table(summary.compare_drives(runs()))
+    rows = [structs.asdict(each) | {"status": "finished"} for each in driven]
+    swept = scenario_table(summarized(rows))
+    shared = ["R (mm/h)", "Coll.", *(each.title for each in summary.RESULT_COLUMNS.values())]
+    assert set(shared) <= {each.title for each in table.columns} & {each.title for each in swept.columns}
+    assert [each for each in table.columns if each.title in shared] == [
+        each for each in swept.columns if each.title in shared
+    ]
+    for name in shared[2:]:
+        own, other = ([each.title for each in one.columns].index(name) for one in (table, swept))
+        assert [row[own] for row in table.rows] == [row[other] for row in swept.rows]
+    assert shared[3:6] == ["C (all points)", "C (N = 5)", "C (HUGSIM)"]
 
 
 # Figures
@@ -159,8 +181,8 @@ def test_the_page_has_results_figures_and_origins():
     assert report.headlines == {"runs": "3", "collisions": "1", "least time to collision": "0.00 s"}
     assert report.settings["intensities (mm/h)"] == "0, 1.2, 12"
     assert report.settings["versions"].startswith("gsrain 0.0.1, ")
-    clear, _, heavy = (row[2:8] for row in report.tables[1].rows)
-    assert clear == (0.0, 0, "time", 2.0, "-", 1.5) and heavy == (12.0, 0, "collision", 3.5, "lead", 0.0)
+    clear, _, heavy = (row[2:9] for row in report.tables[1].rows)
+    assert clear == (0.0, 0, "time", 2.0, None, 15.0, 1.5) and heavy == (12.0, 0, "collision", 3.5, "lead", 0.0, 0.0)
     page = report_page(report)
     assert page.count("<img") == 2
     for word in ("Driving in rain: made-up", "drive &lt;x&gt;", rollout_hash(rollout)[:16], "shapely"):

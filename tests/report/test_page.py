@@ -8,22 +8,21 @@ import cv2
 import numpy as np
 import pytest
 
-from gsrain_engine.evaluation.report import (
-    MAX_IMAGES,
-    ReportCurve,
-    ReportFigure,
-    ReportTable,
-    RunReport,
-    report_page,
-    write_report,
-)
-from gsrain_engine.evaluation.report_charts import (
-    WIDEST_PX,
-    ImageComparison,
+from gsrain_engine.evaluation.image_metrics import WIDEST_PX, compare_images
+from gsrain_engine.report.charts import (
     error_map_uri,
     format_number,
     svg_chart,
 )
+from gsrain_engine.report.page import (
+    MAX_IMAGES,
+    ReportCurve,
+    ReportFigure,
+    RunReport,
+    report_page,
+    write_report,
+)
+from gsrain_engine.report.table import Column, Table
 
 
 def _decoded(source: str) -> np.ndarray:
@@ -33,7 +32,7 @@ def _decoded(source: str) -> np.ndarray:
 def test_page_is_self_contained_and_has_the_figures(tmp_path: Path):
     steps, truth = np.arange(5), np.full((20, 40, 3), 0.5)
     curve = ReportCurve("loss", steps, 1.0 / (1 + steps), times_s=steps * 100.0, unit="of 1")
-    views = [ImageComparison.measured(f"view {i}", truth + 0.01 * i, truth) for i in range(1, MAX_IMAGES + 7)]
+    views = [compare_images(f"view {i}", truth + 0.01 * i, truth) for i in range(1, MAX_IMAGES + 7)]
     report = RunReport("a run", {"steps": 5}, (curve,), tuple(views), {"training": 75.0}, {"Gaussians": "1,234"})
     file = tmp_path / "new" / "report.html"
     write_report(file, report)
@@ -47,9 +46,9 @@ def test_page_is_self_contained_and_has_the_figures(tmp_path: Path):
     for expected in ("a run", "40.00 dB", "1,234", *(f">{each.name}<" for each in views), "1 min 15 s", "minutes"):
         assert expected in page
     assert "LPIPS" not in page
-    lpips = ImageComparison.measured("a", truth + 0.1, truth, None, lambda rendered, truth, mask: 0.125)
+    lpips = compare_images("a", truth + 0.1, truth, None, lambda rendered, truth, mask: 0.125)
     both = report_page(RunReport("run", {}, (), (lpips, views[0])))
-    assert "0.125" in both and '<td class="number" data-value="nan">&ndash;</td>' in both
+    assert "0.125" in both and '<td class="number" data-value="nan">-</td>' in both
 
 
 def test_all_text_is_escaped():
@@ -57,8 +56,11 @@ def test_all_text_is_escaped():
     red = np.zeros((4, 6, 3), np.uint8)
     red[..., 0] = 255
     curve = ReportCurve(evil, np.arange(2), np.arange(2.0), unit=evil)
-    table = ReportTable(evil, (evil, "objects", "score"), ((evil, 3, 0.51234), ("c", 4, None)), 2, definitions=(evil,))
-    view = ImageComparison.measured(evil, np.zeros((20, 40, 3)), np.ones((20, 40, 3)))
+    table = Table(
+        evil, (Column(evil, definition=evil), Column("objects"), Column("score", ".2f")),
+        ((evil, 3, 0.51234), ("c", 4, None)), evil,
+    )  # fmt: skip
+    view = compare_images(evil, np.zeros((20, 40, 3)), np.ones((20, 40, 3)))
     page = report_page(
         RunReport(
             evil, {evil: evil}, (curve,), (view,), {evil: 1.0}, {evil: evil}, (evil,), {"cpu": evil},
@@ -76,7 +78,7 @@ def test_wide_images_are_reduced_after_they_are_measured():
     generator = np.random.default_rng(0)
     truth = generator.random((300, 1300, 3))
     rendered = np.clip(truth + generator.normal(0, 0.05, truth.shape), 0, 1)
-    found = ImageComparison.measured("wide", rendered, truth)
+    found = compare_images("wide", rendered, truth)
     assert found.rendered.shape == found.truth.shape == (148, WIDEST_PX, 3)
     assert found.psnr_db == pytest.approx(-10 * np.log10(((rendered - truth) ** 2).mean()))
     assert found.error.mean() == pytest.approx(np.abs(rendered - truth).mean(), rel=1e-3)
@@ -86,7 +88,7 @@ def test_masked_pixels_are_gray_and_not_measured():
     truth = np.full((20, 40, 3), 0.5)
     mask = np.ones((20, 40), bool)
     mask[:, :20] = False
-    found = ImageComparison.measured("masked", np.where(mask[..., None], truth + 0.1, 1.0), truth, mask)
+    found = compare_images("masked", np.where(mask[..., None], truth + 0.1, 1.0), truth, mask)
     assert found.psnr_db == pytest.approx(20.0)
     assert np.isnan(found.error[:, :20]).all()
     assert found.error[:, 20:] == pytest.approx(0.1, abs=1e-6)

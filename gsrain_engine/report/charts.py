@@ -12,7 +12,6 @@ from jinja2 import Environment, PackageLoader
 from markupsafe import Markup
 
 from ..safe_io.text_files import escape_invisible
-from .image_metrics import Image, ImageDistance, Mask, psnr, ssim
 
 WIDTH, HEIGHT = 520, 260
 _LEFT, _RIGHT, _TOP, _BOTTOM = 62, 14, 14, 40
@@ -100,8 +99,6 @@ def _points(pairs: list[tuple[float, float]]) -> str:
 
 # Image comparison
 
-WIDEST_PX = 640
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageComparison:
@@ -115,32 +112,6 @@ class ImageComparison:
     psnr_db: float
     ssim: float
     lpips: float | None = None
-
-    @classmethod
-    def measured(
-        cls, name: str, rendered: Image, truth: Image, mask: Mask | None = None, lpips: ImageDistance | None = None
-    ) -> "ImageComparison":
-        """Compare a render with the ground truth, values of 0..1, over the pixels of the mask."""
-        error = np.abs(rendered.astype(np.float32) - truth.astype(np.float32)).mean(axis=2)
-        small = _small(error)
-        if mask is not None:
-            share = _small(mask.astype(np.float32))
-            small = np.where(share > 0.5, _small(np.where(mask, error, 0)) / np.maximum(share, 0.5), np.nan)
-        distance = None if lpips is None else lpips(rendered, truth, mask)
-        metrics = psnr(rendered, truth, mask), ssim(rendered, truth, mask), distance
-        return cls(name, _bytes(rendered), _bytes(truth), small.astype(np.float32), *metrics)
-
-
-def _small(values: np.ndarray) -> np.ndarray:
-    height, width = values.shape[:2]
-    if width <= WIDEST_PX:
-        return values
-    size = WIDEST_PX, max(round(height * WIDEST_PX / width), 1)
-    return cv2.resize(values, size, interpolation=cv2.INTER_AREA)
-
-
-def _bytes(image: Image) -> UInt8[np.ndarray, "hs ws 3"]:
-    return np.rint(np.clip(_small(image.astype(np.float32)), 0, 1) * 255).astype(np.uint8)
 
 
 # Data URIs and the error color scale

@@ -4,6 +4,7 @@ import hashlib
 import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from math import nan
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +13,9 @@ from markupsafe import Markup
 
 from ..render.renderer import describe_machine
 from ..scene.files import whole_file
-from . import report_charts as charts
-from .report_charts import ImageComparison
+from . import charts
+from .charts import ImageComparison
+from .table import Table, columns
 
 MAX_IMAGES = 24  # maximum number of views: the best, the worst and evenly spaced ones between; the table lists all
 
@@ -44,26 +46,6 @@ class ReportFigure:
     """Allow JPEG compression; drawings are stored losslessly."""
 
 
-@dataclass(frozen=True, slots=True)
-class ReportTable:
-    """Numbers in rows, sortable by each column."""
-
-    title: str
-    columns: tuple[str, ...]
-    rows: tuple[tuple[str | float | None, ...], ...]
-    decimals: int = 3
-    caption: str = ""
-    definitions: tuple[str, ...] = ()
-    """Definitions of the columns, a sentence each, below the table."""
-
-    @property
-    def kinds(self) -> list[str]:
-        """Kind of each column: "word" if any cell is text, else "number"."""
-        return [
-            "word" if any(isinstance(row[i], str) for row in self.rows) else "number" for i in range(len(self.columns))
-        ]
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class RunReport:
     """Content of a run's page."""
@@ -86,7 +68,7 @@ class RunReport:
     held_out: bool = True
     """True if the comparisons are held-out views; otherwise they are labeled as images."""
     figures: tuple[ReportFigure, ...] = ()
-    tables: tuple[ReportTable, ...] = ()
+    tables: tuple[Table, ...] = ()
 
 
 def report_page(report: RunReport) -> str:
@@ -96,7 +78,7 @@ def report_page(report: RunReport) -> str:
         ranked = sorted(pictures, key=lambda each: -each.psnr_db)
         pictures = [ranked[i] for i in np.linspace(0, len(ranked) - 1, MAX_IMAGES).round().astype(int)]
     return charts.rendered(
-        "report.html",
+        "page.html",
         report=report,
         tiles={**_means(report.comparisons, "held-out " if report.held_out else ""), **report.headlines},
         pictures=pictures,
@@ -125,20 +107,22 @@ def _means(comparisons: tuple[ImageComparison, ...], which: str) -> dict[str, st
     return {**rows, f"{which}views" if which else "pictures": str(len(comparisons))}
 
 
-def _scores(comparisons: tuple[ImageComparison, ...]) -> Mapping[str, object]:
-    """Columns, rows and means of the table of all views."""
-    columns: dict[str, list[float]] = {
+def _scores(comparisons: tuple[ImageComparison, ...]) -> Table:
+    """Table of all views, with means."""
+    titled = {"PSNR (dB)": ".2f", "SSIM": ".4f", "LPIPS": ".4f", "mean |difference|": ".4f"}
+    values: dict[str, list[float]] = {
         "PSNR (dB)": [each.psnr_db for each in comparisons],
         "SSIM": [each.ssim for each in comparisons],
-        "LPIPS": [float("nan") if each.lpips is None else each.lpips for each in comparisons],
+        "LPIPS": [nan if each.lpips is None else each.lpips for each in comparisons],
         "mean |difference|": [
-            float(np.nanmean(each.error)) if np.isfinite(each.error).any() else float("nan") for each in comparisons
+            float(np.nanmean(each.error)) if np.isfinite(each.error).any() else nan for each in comparisons
         ],
     }
     if all(each.lpips is None for each in comparisons):
-        del columns["LPIPS"]
-    rows = list(zip((each.name for each in comparisons), *columns.values(), strict=True))
-    return {"columns": ["view", *columns], "rows": rows, "means": ["mean", *map(_mean, columns.values())]}
+        del values["LPIPS"]
+    rows = list(zip((each.name for each in comparisons), *values.values(), strict=True))
+    titles = columns({"view": ""} | {name: titled[name] for name in values})
+    return Table("Views", titles, rows, foot=[("mean", *map(_mean, values.values()))])
 
 
 def _charts(curve: ReportCurve) -> Mapping[str, object]:

@@ -1,0 +1,1 @@
+"""Tables, intervals, charts, and the HTML page of a run."""
