@@ -14,6 +14,7 @@ from cyclopts import Parameter
 
 from gsrain_engine.backends import Backend, open_renderer
 from gsrain_engine.evaluation.report import write_report
+from gsrain_engine.rain.available import check_available
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.wetness import with_wet_choice
 from gsrain_engine.render import export_settings
@@ -317,7 +318,9 @@ def _rains(
     if preset is not None:
         base = msgspec.structs.replace(load_preset(preset), intensity_mm_h=own.intensity_mm_h, seed=own.seed)
     chosen = [base.intensity_mm_h] if intensities is None else parse_intensities(intensities)
-    return [options.settings(base, intensity_mm_h=each) for each in chosen]
+    rains = [options.settings(base, intensity_mm_h=each) for each in chosen]
+    check_available(options.changes(), rains[0])
+    return rains
 
 
 # Output files

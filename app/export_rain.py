@@ -121,7 +121,9 @@ def _export_gaussians(
     wet: bool | None,
     with_scene: bool,
 ) -> dict[str, Any]:
-    settings = _without_fog(rain, scene)
+    settings = rain.for_scene(scene, "Gaussians with scene" if with_scene else "Gaussians")
+    if settings.visibility_m is not None:  # of a preset, or saved with the scene
+        raise ValueError(f"fog, visibility {settings.visibility_m:g} m: needs distances; gsrain render draws it")
     if with_scene or wet is not None:
         scene, settings = rainy_light(scene, settings, wet, settings.intensity_mm_h)
     simulation = RainSimulation.start(settings.without_medium)  # a file has Gaussians only
@@ -151,18 +153,6 @@ def _export_gaussians(
     }
 
 
-def _without_fog(rain: RainOptions, scene: Scene) -> RainSettings:
-    """Return the rain; raises ValueError for fog, which neither Gaussians nor photographs without distances have."""
-    settings = rain.for_scene(scene)
-    _refuse_fog(settings)
-    return settings
-
-
-def _refuse_fog(settings: RainSettings) -> None:
-    if settings.visibility_m is not None:
-        raise ValueError(f"--visibility {settings.visibility_m:g}: fog needs distances; gsrain render draws it")
-
-
 def _export_recording(
     source: Path,
     rain: RainOptions,
@@ -177,7 +167,14 @@ def _export_recording(
     capture = recording.capture
     target = _copy_path(recording, source, output)
     world = Scene(capture.name) if scene is None else load_sorted_scene(scene)
-    settings = rain.for_scene(world)
+    settings = rain.for_scene(world, "photographs" if scene is None else "scene")
+    if scene is None and wet:
+        raise ValueError("--wet: photographs have no surfaces for it; --scene names a scene of the recording")
+    bent = next((view.sensor or view.name for view in capture if view.lens is not None), None)
+    if settings.glass != "none" and bent is not None:
+        raise ValueError(
+            f"--glass {settings.glass}: water on glass is drawn for pinholes, and camera {bent} has a lens"
+        )
     lock_outputs(target)
     turns = lidar.of(capture, settings) if recording.has_lidar and not RainSimulation.start(settings).is_dry else None
     with open_renderer("cpu") as renderer:

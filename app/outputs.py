@@ -14,12 +14,15 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO, cast
 
+import msgspec
+
 from gsrain_engine.scene.files import hold_for_writing, name_problem, shortened, whole_file
 
 from .console import print, print_lines
 
 if TYPE_CHECKING:
     from gsrain_engine.evaluation.report import RunReport
+    from gsrain_engine.render.provenance import Provenance
 
 SCREEN = Path("-")
 """Standard output in place of a file."""
@@ -234,6 +237,18 @@ def run_provenance(inputs: Mapping[str, str], packages: Iterable[str] = ()) -> d
     """Return the provenance for a file of numbers: `inputs` are hashes by name, `packages` the relevant ones."""
     versions = {name: version_of(name) for name in ("gsrain", "numpy", *packages)}
     return {"command": command_line(), "versions": versions, "inputs": dict(inputs)}
+
+
+def provenance_file(output: Path) -> Path:
+    """Return the file beside an output that holds its provenance; for a folder of pictures it is inside."""
+    return output.with_suffix(".provenance.json") if output.suffix else output / "provenance.json"
+
+
+def write_provenance(output: Path, pictures: "Mapping[str, Provenance]", file: Path | None = None) -> dict[str, Any]:
+    """Write what the pictures of an output hold, by name, beside it or to a file; returns it for other files."""
+    facts = run_provenance({}) | {"pictures": {name: msgspec.to_builtins(each) for name, each in pictures.items()}}
+    write_text(file or provenance_file(output), json.dumps(facts, indent=1) + "\n")
+    return {"provenance": facts}
 
 
 def provenance_lines(facts: Mapping[str, Any]) -> dict[str, str]:

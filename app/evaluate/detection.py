@@ -52,6 +52,7 @@ from gsrain_engine.evaluation.detection.figures import detection_sheet, figure_p
 from gsrain_engine.evaluation.detection.ground_truth import MIN_HEIGHT_PX, MIN_VISIBILITY, read_coco
 from gsrain_engine.evaluation.detection.metrics import Robustness
 from gsrain_engine.evaluation.report import ReportFigure, ReportTable, RunReport, input_fingerprint, write_report
+from gsrain_engine.rain.available import check_available
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.simulation import OVERCAST
 from gsrain_engine.render.images import write_image
@@ -173,8 +174,10 @@ def detection(
     base = load_preset(preset) if preset is not None else RainSettings()
     scales = scales or [base.diameter_scale]
     with open_renderer(backend) as renderer:
-        own_scale = 1.0 if 1.0 in scales else scales[0]
-        rain_of_all = (weather or WeatherOptions()).settings(base, diameter_scale=own_scale)
+        own_scale, chosen_rain = 1.0 if 1.0 in scales else scales[0], weather or WeatherOptions()
+        rain_of_all = chosen_rain.settings(base, diameter_scale=own_scale)
+        is_scene = chosen.source is None or names_scene(chosen.source)
+        check_available(chosen_rain.changes(), rain_of_all, "scene" if is_scene else "photographs")
         prepared = opened_source(renderer, chosen, rain_of_all)
         parts: list[RainAttribution] = []
         if is_decomposed:

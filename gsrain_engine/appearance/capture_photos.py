@@ -10,12 +10,13 @@ from ..datasets.depth_maps import completed_depths, measured_depths
 from ..datasets.sky_masks import certain_sky, sky_masks
 from ..datasets.undistort import undistort_frame
 from ..rain.frame import SkyLight
-from ..rain.simulation import RainSimulation, mean_linear_color
+from ..rain.simulation import RainSimulation
 from ..render.frame_input import CameraMemory, FrameInput, Mount
 from ..render.passes.glass import ego_motion
 from ..render.photograph import Distances, Photograph
 from ..render.view import RenderView, ego_view
 from ..scene.camera import Camera
+from ..scene.geometry import linear_to_srgb, srgb_to_linear
 from ..scene.scene import Scene
 
 Colors = UInt8[np.ndarray, "h w 3"]
@@ -109,4 +110,7 @@ def photo_sky(photo: Colors) -> SkyLight:
         upper = photo[: max(len(photo) // 2, 1)].reshape(-1, 3)
         light = upper.astype(np.float64).mean(axis=1)
         found = upper[light >= np.quantile(light, _BRIGHT)]
-    return SkyLight.uniform(mean_linear_color(found.astype(np.float64) / 255))
+    counts = [np.bincount(each, minlength=256) for each in found.T]
+    light = srgb_to_linear(np.arange(256) / 255)
+    red, green, blue = linear_to_srgb(np.array([each @ light for each in counts]) / len(found)).tolist()
+    return SkyLight.uniform((red, green, blue))

@@ -82,7 +82,7 @@ class Photograph:
         that is how the rain adds its own.
         """
         encode, decode = (linear_to_srgb, srgb_to_linear) if falling.is_linear else (np.asarray, np.asarray)
-        behind = decode(self.pixels.astype(np.float64) / 255)
+        behind = decode(np.arange(256) / 255).astype(np.float32)[self.pixels]
         if falling.medium is not None:
             camera = falling.view.camera
             kept = self.distances.transmittance(falling.medium, camera, self.pixels)[..., None]
