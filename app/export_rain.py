@@ -28,7 +28,7 @@ from gsrain_engine.scene.transforms import flatten_scene, transform_gaussians, w
 from .console import counted, print, run_with_progress
 from .evaluate.lidar import read_sensor
 from .options import JsonFile, Wet, check_within, flag, option, parse_size, setting
-from .outputs import check_writable, lock_outputs, write_numbers
+from .outputs import check_writable, lock_outputs, write_numbers, write_provenance
 from .render import RainOptions, rainy_light, viewpoint_of
 from .scene import Orientation, names_scene
 
@@ -91,7 +91,8 @@ def export_rain(
     in its own format whose images and lidar are in rain; names, times, calibration, labels and all else stay as they
     are.
     Images have streaks in front of the photograph, and haze by the distances that lidar or points tell (without any:
-    the paper's Gaussians); surfaces stay dry. With --scene they are rendered, wet, through a scene of the recording.
+    those of a level road); surfaces stay dry. With --scene they are rendered, wet, through a scene of the recording.
+    COPY.provenance.json, beside the copy, says what each image holds.
     """
     if names_scene(source):
         check_writable(output, json)
@@ -192,6 +193,8 @@ def _export_recording(
     if isinstance(pictures, PhotoRain):
         numbers["images_with_distances"] = pictures.with_distances
         how = f"{pictures.with_distances} of them with distances for the haze"
+        if pictures.with_distances < pictures.written:
+            how += ", the others as over a level road"
     print(f"{target}: {counted(pictures.written, 'rainy image')} ({how}), {settings.intensity_mm_h:g} mm/h")
     if turns is not None:
         lost = turns.recorded - (turns.written - turns.false)
@@ -202,6 +205,7 @@ def _export_recording(
     counts = {"changed": files.changed, "copied": files.copied, "linked": files.linked, "left out": len(files.left_out)}
     print(f"files: {', '.join(f'{count:,} {what}' for what, count in counts.items())}")
     numbers |= {f"files_{what.replace(' ', '_')}": count for what, count in counts.items()}
+    write_provenance(target, pictures.provenance, target.with_name(f"{target.name}.provenance.json"))
     return numbers | {"cameras": list(capture.sensors)}
 
 

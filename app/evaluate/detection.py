@@ -379,6 +379,10 @@ def detection_numbers(
         "seeds": list(range(seeds)),
         "rain": rain,
         "rain_before_pictures": source.pictures.photos is not None,
+        "pictures": {
+            f"{intensity:g} mm/h": msgspec.to_builtins(source.pictures.provenance(source.frames[0], intensity))
+            for intensity in sorted({row.intensity_mm_h for row in rows if row.picture == "rainy"})
+        },
         "least_iou": 0.5,
         "found_from_confidence": summary.FOUND_FROM,
         "least_height_px": MIN_HEIGHT_PX,

@@ -13,7 +13,7 @@ from ..scene.camera import Camera
 from ..scene.scene import Scene
 from .frame_input import FrameInput, Quality
 from .level_of_detail import LodCut
-from .passes.registry import PASSES
+from .passes import registry
 from .photograph import Photograph
 from .renderer import RenderMode
 from .view import RenderView
@@ -70,7 +70,7 @@ def provenance_of(frame: FrameInput) -> Provenance:
     simulation, view, falling = frame.simulation, frame.view, frame.falling
     simulation = simulation or RainSimulation.start(RainSettings())
     state = simulation.state_at(frame.time_s)
-    drawn = tuple(each.name for each in PASSES if each.name not in frame.without and each.active(frame))
+    drawn = tuple(each.name for each in registry.PASSES if each.name not in frame.without and each.active(frame))
     haze = "none"
     if falling is not None and "medium" in drawn:
         haze = falling.rain.haze
@@ -90,7 +90,8 @@ def provenance_of(frame: FrameInput) -> Provenance:
             overcast=0.0 if frame.rainfall is None else frame.rainfall.overcast_at(frame.time_s),
             wetness=frame.wetness,
         ),
-        distances=distances, passes=drawn, left_out=tuple(each.name for each in PASSES if each.name not in drawn),
+        distances=distances, passes=drawn,
+        left_out=tuple(each.name for each in registry.PASSES if each.name not in drawn),
         rain=msgspec.to_builtins(simulation.rain), weather=msgspec.to_builtins(weather) if weather.keys else None,
         camera=view.camera.to_json(), exposure_s=view.camera.exposure_s, velocity_m_s=velocity, focal_px=view.focal_px,
         exposure_share=view.exposure_share, mode=frame.quality.mode,

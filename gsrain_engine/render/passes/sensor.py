@@ -11,7 +11,7 @@ from .base import FrameParts
 class SensorPass:
     """Response of a sensor to the picture. A photograph has been through its own."""
 
-    name = "sensor"
+    name, factor = "sensor", None
 
     def active(self, frame: FrameInput) -> bool:
         has_sensor = frame.simulation is not None and frame.simulation.picture_sensor is not None
