@@ -22,7 +22,7 @@ from .console import print, print_lines
 
 if TYPE_CHECKING:
     from gsrain_engine.evaluation.report import RunReport
-    from gsrain_engine.render.provenance import Provenance
+    from gsrain_engine.render.provenance import PictureProvenance
 
 SCREEN = Path("-")
 """Standard output in place of a file."""
@@ -230,7 +230,7 @@ def write_page(report: Path, page: "RunReport", json: Path | None, numbers: Mapp
     print(f"wrote {', '.join(map(str, written))}", file=sys.stderr)
 
 
-# Provenance of an evaluation's numbers: command line, versions, and hashes of the inputs
+# PictureProvenance of an evaluation's numbers: command line, versions, and hashes of the inputs
 
 
 def run_provenance(inputs: Mapping[str, str], packages: Iterable[str] = ()) -> dict[str, Any]:
@@ -244,7 +244,9 @@ def provenance_file(output: Path) -> Path:
     return output.with_suffix(".provenance.json") if output.suffix else output / "provenance.json"
 
 
-def write_provenance(output: Path, pictures: "Mapping[str, Provenance]", file: Path | None = None) -> dict[str, Any]:
+def write_provenance(
+    output: Path, pictures: "Mapping[str, PictureProvenance]", file: Path | None = None
+) -> dict[str, Any]:
     """Write what the pictures of an output hold, by name, beside it or to a file; returns it for other files."""
     facts = run_provenance({}) | {"pictures": {name: msgspec.to_builtins(each) for name, each in pictures.items()}}
     write_text(file or provenance_file(output), json.dumps(facts, indent=1) + "\n")

@@ -25,7 +25,7 @@ from gsrain_engine.rain.wetness import missing_wet_colors, with_wet_choice
 from gsrain_engine.render.export import export_frames, export_sequences, frame_numbers
 from gsrain_engine.render.export_settings import DEFAULT_SIZE_PX, ExportSettings, export_outputs
 from gsrain_engine.render.object_labels import LabelFormat
-from gsrain_engine.render.provenance import Provenance, provenance_of
+from gsrain_engine.render.provenance import PictureProvenance, provenance_of
 from gsrain_engine.render.renderer import Renderer, RenderMode
 from gsrain_engine.render.sequence import FrameSequence, common_sky
 from gsrain_engine.safe_io.errors import convert_checked
@@ -350,7 +350,7 @@ def _describe(simulation: RainSimulation, first_s: float) -> str:
     return ", ".join(filter(None, [rain, fog, beyond, simulation.rain.exaggeration]))
 
 
-def _extinction(simulation: RainSimulation, picture: Provenance) -> dict[str, float | list[float] | None]:
+def _extinction(simulation: RainSimulation, picture: PictureProvenance) -> dict[str, float | list[float] | None]:
     """Extinction of the rain at a time, and the light that replaces what is lost; None for what does not exist."""
     beta, rain = simulation.state.extinction_per_m, simulation.rain
     airlight: list[float] | None = None

@@ -18,7 +18,7 @@ from ..render.camera_response import display_noise, light_of_display, tone_curve
 from ..scene.camera import Camera
 from ..scene.sensor import load_sensor
 from .drop_light import light_before
-from .photograph import Photograph, Window, cropped_camera, noise_of, photographed, rain_over, rain_shares
+from .photograph import StoredPhoto, Window, cropped_camera, noise_of, photographed, rain_over, rain_shares
 from .rain_free import below_black
 from .streaks import (
     BANDS,
@@ -130,7 +130,7 @@ def simulated_frames(
     rainfall: RainSimulation,
     drop_levels: Float64[np.ndarray, "3"],
     native_height: int,
-) -> list[Photograph]:
+) -> list[StoredPhoto]:
     """Render rain over the background of real frames, with their slow changes of light and as much noise as they have.
 
     `shares` are those of `rain_shares`, `colors` the real frames (RGB), whose median is the background. The sensor's
@@ -145,7 +145,7 @@ def simulated_frames(
     backgrounds = [np.where(black, below, each) for each in lit]
     plain = plain_noise(real, rainfall, native_height)
 
-    def frames() -> list[Photograph]:
+    def frames() -> list[StoredPhoto]:
         random, noise, factor = noise_of(rain), plain * gain, chroma[..., None]
         return [photographed(*each, noise, sensor, random, factor) for each in zip(backgrounds, rises, strict=True)]
 

@@ -7,7 +7,7 @@ from ..fields import option_names
 from .settings import RainSettings
 
 Source = Literal["scene", "photographs", "Gaussians", "Gaussians with scene", "page"]
-"""What rain is drawn in: a scene; photographs; files of its Gaussians, which are no pictures; a web page."""
+"""Sources of pictures: a scene; photographs; files of its Gaussians, which are no pictures; a web page."""
 
 _SURFACES = "photographs have no surfaces for it; gsrain reconstruct makes a scene of them, for --scene"
 _FILE = "a file of Gaussians holds streaks and haze only; gsrain render draws it"

@@ -13,7 +13,7 @@ from ..rain.simulation import RainSimulation
 from ..render.draw import draw
 from ..render.frame_input import CameraMemory, FrameInput, Mount
 from ..render.passes.glass import ego_motion
-from ..render.provenance import Provenance, provenance_of
+from ..render.provenance import PictureProvenance, provenance_of
 from ..render.renderer import Renderer
 from ..render.sky_color import sky_color
 from ..render.view import ego_view
@@ -28,8 +28,8 @@ class RainyPictures(Protocol):
 
     written: int
     """Number of pictures so far."""
-    provenance: dict[str, Provenance]
-    """What they hold, by the names of their views."""
+    provenance: dict[str, PictureProvenance]
+    """Provenance of each, by the names of their views."""
 
     def rainy(self, view: CaptureFrame, photo: Colors) -> Colors:
         """Return a picture of the size of a view's photograph; the same array without rain."""
@@ -43,7 +43,7 @@ class PhotoRain:
         self._renderer, self._photos, self._rainfall = renderer, CapturePhotos(capture), RainSimulation.start(rain)
         self.written = self.with_distances = 0
         """Numbers of pictures so far, and of those whose distances are measured."""
-        self.provenance: dict[str, Provenance] = {}
+        self.provenance: dict[str, PictureProvenance] = {}
 
     def rainy(self, view: CaptureFrame, photo: Colors) -> Colors:
         self.written += 1
@@ -62,7 +62,7 @@ class ScenePictures:
         self._sky = sky_color(renderer, scene, capture[0].camera.moved(scene.scene_to_world))
         self._memory = CameraMemory()
         self.written = 0
-        self.provenance: dict[str, Provenance] = {}
+        self.provenance: dict[str, PictureProvenance] = {}
 
     def rainy(self, view: CaptureFrame, photo: Colors) -> Colors:
         self.written += 1

@@ -13,10 +13,10 @@ from .passes.base import FrameParts
 from .passes.mirror import reflecting_items
 from .passes.sensor import metered
 from .photograph import without_medium
-from .renderer import Picture, PictureFilter, Renderer, timed
+from .renderer import DrawnPicture, PictureFilter, Renderer, timed
 
 
-def draw(renderer: Renderer, frame: FrameInput) -> Picture:
+def draw(renderer: Renderer, frame: FrameInput) -> DrawnPicture:
     """Draw a picture by a renderer. Read it before the renderer draws the next one.
 
     Raises `ValueError` for glass before
@@ -29,7 +29,7 @@ def draw(renderer: Renderer, frame: FrameInput) -> Picture:
                 if each.active(frame):
                     each.add(frame, parts)
     source = _composite(frame, parts)
-    return Picture(renderer, source, tuple(parts.filters), times_ms, parts.compose)
+    return DrawnPicture(renderer, source, tuple(parts.filters), times_ms, parts.compose)
 
 
 def _composite(frame: FrameInput, parts: FrameParts) -> Renderer | PictureBands:

@@ -15,7 +15,7 @@ from ..rain.simulation import RainSimulation
 from ..rain.wetness import with_wet_choice
 from ..scene.progress import Progress
 from .images import write_image
-from .provenance import Provenance, provenance_of
+from .provenance import PictureProvenance, provenance_of
 from .renderer import Renderer
 from .sequence import FrameSequence, common_sky
 from .sky_color import SkyColor
@@ -43,7 +43,7 @@ class SheetCell:
     streaks_drawn: int
     visible_streaks: int
     """Connected regions that the streaks alone change by more than `VISIBLE_LEVELS`."""
-    provenance: Provenance | None = None
+    provenance: PictureProvenance | None = None
 
     @property
     def numbers(self) -> dict[str, str | float | int]:

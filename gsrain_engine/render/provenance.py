@@ -1,4 +1,4 @@
-"""Provenance of a picture: what its frame input held, as plain values that draw the same picture again."""
+"""PictureProvenance of a picture: what its frame input held, as plain values that draw the same picture again."""
 
 from typing import Any
 
@@ -28,7 +28,7 @@ class LightRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     wetness: float
 
 
-class Provenance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class PictureProvenance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Everything that one picture held. `frame_of` draws it again."""
 
     source: str
@@ -65,7 +65,7 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     """Passes that were left out on purpose."""
 
 
-def provenance_of(frame: FrameInput) -> Provenance:
+def provenance_of(frame: FrameInput) -> PictureProvenance:
     """Return what a picture holds."""
     simulation, view, falling = frame.simulation, frame.view, frame.falling
     simulation = simulation or RainSimulation.start(RainSettings())
@@ -79,7 +79,7 @@ def provenance_of(frame: FrameInput) -> Provenance:
         distances = "level road (assumed)" if frame.photograph.distances.are_assumed else "measured"
     weather = simulation.weather
     velocity = None if view.velocity_m_s is None else tuple(np.asarray(view.velocity_m_s, np.float64).tolist())
-    return Provenance(
+    return PictureProvenance(
         source=frame.scene.name, time_s=frame.time_s, intensity_mm_h=state.intensity_mm_h, haze=haze,
         extinction_per_m=state.extinction_per_m if haze != "none" else 0.0,
         fog_extinction_per_m=state.fog_extinction_per_m if "medium" in drawn else 0.0,
@@ -100,7 +100,7 @@ def provenance_of(frame: FrameInput) -> Provenance:
     )  # fmt: skip
 
 
-def frame_of(provenance: Provenance, scene: Scene, photograph: Photograph | None = None) -> FrameInput:
+def frame_of(provenance: PictureProvenance, scene: Scene, photograph: Photograph | None = None) -> FrameInput:
     """Return the picture again, of the scene, or of the photograph, that it was made of.
 
     Water on the glass of a moving camera is that of one which has always been at rest. Raises `ValueError` for settings

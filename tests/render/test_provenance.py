@@ -1,4 +1,4 @@
-"""Provenance of pictures: what was drawn, in plain values, and the same bytes drawn from it."""
+"""PictureProvenance of pictures: what was drawn, in plain values, and the same bytes drawn from it."""
 
 from dataclasses import replace
 
@@ -15,7 +15,7 @@ from gsrain_engine.render.draw import draw
 from gsrain_engine.render.frame_input import FALLING, FrameInput
 from gsrain_engine.render.passes.registry import PASSES
 from gsrain_engine.render.photograph import Distances, Photograph
-from gsrain_engine.render.provenance import Provenance, frame_of, provenance_of
+from gsrain_engine.render.provenance import PictureProvenance, frame_of, provenance_of
 from gsrain_engine.render.sky_color import SkyColor
 from gsrain_engine.render.view import RenderView
 from gsrain_engine.scene.camera import Camera
@@ -38,8 +38,8 @@ RAINS = {
 }
 
 
-def read_back(frame: FrameInput) -> Provenance:
-    return msgspec.json.decode(msgspec.json.encode(provenance_of(frame)), type=Provenance)
+def read_back(frame: FrameInput) -> PictureProvenance:
+    return msgspec.json.decode(msgspec.json.encode(provenance_of(frame)), type=PictureProvenance)
 
 
 @pytest.mark.parametrize("name", RAINS)

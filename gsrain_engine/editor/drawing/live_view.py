@@ -25,7 +25,7 @@ from ...render.opengl.buffers import GpuArrays
 from ...render.opengl.context import check_context
 from ...render.opengl.renderer import Screen, SplatRenderer
 from ...render.passes.glass import ego_motion
-from ...render.renderer import Color, Picture, Renderer, RenderMode, timed
+from ...render.renderer import Color, DrawnPicture, Renderer, RenderMode, timed
 from ...render.sky_color import SkyColor, sample_sky
 from ...render.still_scene import StillScene
 from ...scene.camera import Camera
@@ -223,7 +223,7 @@ class LiveView:
     def _renderer(self) -> Renderer:
         return self._cpu.renderer if self._cpu is not None and self._on_cpu else self._opengl
 
-    def _texture(self, picture: Picture, camera: Hashable, background: Color) -> moderngl.Texture:
+    def _texture(self, picture: DrawnPicture, camera: Hashable, background: Color) -> moderngl.Texture:
         """Texture of a picture that was just drawn; of one behind glass, that of its camera."""
         if not picture.filters:
             return self._cpu.upload() if self._cpu is not None and self._on_cpu else self._opengl.picture

@@ -21,7 +21,7 @@ from ...rain.simulation import RainSimulation
 from ...render.draw import draw, meter
 from ...render.frame_input import CameraMemory, FrameInput, Mount
 from ...render.passes.glass import ego_motion
-from ...render.provenance import Provenance, provenance_of
+from ...render.provenance import PictureProvenance, provenance_of
 from ...render.renderer import Renderer
 from ...render.sky_color import SkyColor
 from ...render.view import RenderView, ego_view
@@ -155,7 +155,7 @@ class ConditionRenderer:
             return picture
         return undistort_frame(replace(frame.recorded, image_source=picture), frame.shot.camera.width).image
 
-    def provenance(self, frame: EvaluatedFrame, intensity_mm_h: float) -> Provenance:
+    def provenance(self, frame: EvaluatedFrame, intensity_mm_h: float) -> PictureProvenance:
         """Return what the picture of a view in rain of the first seed holds."""
         return provenance_of(self.frame_input(frame, Condition("rainy", intensity_mm_h, (0,))))
 

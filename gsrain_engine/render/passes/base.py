@@ -13,16 +13,16 @@ from ...scene.scene import DrawItem
 from ...water.mirror import LensMirror, Mirror
 from ...water.rings import RingWaves
 from ..frame_input import FrameInput
-from ..renderer import Frame, Picture, PictureFilter, Renderer
+from ..renderer import DrawnPicture, Frame, PictureFilter, Renderer
 from ..still_scene import StillScene
 
 
 @dataclass(slots=True, eq=False)
 class FrameParts:
-    """What the passes of a picture have added: the renderer draws it as one depth-ordered compositing."""
+    """Parts that the passes of a picture have added: the renderer draws it as one depth-ordered compositing."""
 
     renderer: Renderer
-    draw: Callable[[FrameInput], Picture]
+    draw: Callable[[FrameInput], DrawnPicture]
     """Draws another picture by the same renderer, such as what a mirror shows."""
     items: list[DrawItem] = field(default_factory=list[DrawItem])
     whole: list[DrawItem] = field(default_factory=list[DrawItem])
@@ -36,7 +36,7 @@ class FrameParts:
     waves: RingWaves | None = None
     mirror: Mirror | LensMirror | None = None
     filters: list[PictureFilter] = field(default_factory=list[PictureFilter])
-    """What acts on the drawn picture, in this order."""
+    """Effects on the drawn picture, in this order."""
     compose: Callable[[Frame], UInt8[np.ndarray, "h w 3"]] | None = None
     """Puts what was drawn before a photograph."""
 

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 from ..camera_response import CameraResponse, metered_gain
 from ..frame_input import FrameInput, Quality
-from ..renderer import Picture, PictureFilter
+from ..renderer import DrawnPicture, PictureFilter
 from .base import FrameParts
 
 
@@ -26,7 +26,7 @@ class SensorPass:
         parts.filters.append(PictureFilter(self.name, response.picture))
 
 
-def metered(frame: FrameInput, draw: Callable[[FrameInput], Picture]) -> float:
+def metered(frame: FrameInput, draw: Callable[[FrameInput], DrawnPicture]) -> float:
     """Gain of automatic exposure, which is metered in the clear scene: rain does not change it. 1 without a sensor.
 
     It is metered once for each camera.
