@@ -12,6 +12,7 @@ from ..datasets.undistort import undistort_frame
 from ..rain.frame import SkyLight
 from ..rain.simulation import RainSimulation
 from ..render.frame_input import CameraMemory, FrameInput, Mount
+from ..render.images import through_jpeg
 from ..render.passes.glass import ego_motion
 from ..render.photograph import Distances, Photograph
 from ..render.view import RenderView, ego_view
@@ -23,6 +24,9 @@ Colors = UInt8[np.ndarray, "h w 3"]
 
 CAMERA_HEIGHT_M = 1.5
 """Assumed height of a camera over the road, where nothing is known of either."""
+
+COPY_JPEG_QUALITY = 95
+"""Of the JPEGs of rainy copies."""
 
 _LEVEL = np.array([[0.0, -1, 0, 0], [0, 0, -1, CAMERA_HEIGHT_M], [1, 0, 0, 0], [0, 0, 0, 1]])
 """World-to-camera transform that looks ahead over a road, for images without poses."""
@@ -82,6 +86,12 @@ class CapturePhotos:
                 return Distances(small.camera, completed, measured[0] > 0)
         pose = self.view(view).camera.world_to_camera
         return level_road(replace(small.camera, world_to_camera=pose), small.image)
+
+
+def as_copied(view: CaptureFrame, picture: Colors) -> Colors:
+    """Return the picture of a view as its rainy copy stores it: compressed, if its file is a JPEG."""
+    is_jpeg = view.image_file is not None and view.image_file.suffix.lower() in (".jpg", ".jpeg")
+    return through_jpeg(picture, COPY_JPEG_QUALITY) if is_jpeg else picture
 
 
 def has_distances(capture: Capture) -> bool:

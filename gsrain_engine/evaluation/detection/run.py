@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import UInt8
 from msgspec import structs
 
-from ...appearance.capture_photos import CapturePhotos
+from ...appearance.capture_photos import CapturePhotos, as_copied
 from ...appearance.scene_views import PlacedCamera
 from ...datasets.capture import Capture, CaptureFrame
 from ...datasets.undistort import undistort_frame
@@ -153,7 +153,8 @@ class ConditionRenderer:
         picture = draw(self.renderer, self.frame_input(frame, trial)).read_uint8()
         if frame.recorded is None or self.photos is None:
             return picture
-        return undistort_frame(replace(frame.recorded, image_source=picture), frame.shot.camera.width).image
+        copied = as_copied(frame.recorded, picture)
+        return undistort_frame(replace(frame.recorded, image_source=copied), frame.shot.camera.width).image
 
     def provenance(self, frame: EvaluatedFrame, intensity_mm_h: float) -> PictureProvenance:
         """Return what the picture of a view in rain of the first seed holds."""
