@@ -85,7 +85,7 @@ def streaks(
     if fit_sensor is not None:
         _fit(sequences, load_sensor(plain.sensor or DEFAULT_SENSOR), frames, part, fit_sensor)
         return
-    knobs = {name: getattr(plain, name) for name in ("rain_light", "streak_gain", "sensor", "aperture_mm", "seed")}
+    knobs = {name: getattr(plain, name) for name in ("model", "streak_gain", "sensor", "aperture_mm", "seed")}
     rows: list[RealRainComparison] = []
     places: list[RainyPlace] = []
     with progress_bar("Measuring", len(sequences)) as advance:

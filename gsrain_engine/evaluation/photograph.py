@@ -52,11 +52,11 @@ def rain_over(
 
     `drop_levels` is a drop's display level (0-255), the same or one for each pixel. With W the rain's share of a pixel,
     B the background and S the drop's light: enc((1 - W) dec(B) + W S) - B, with the tone curve of the sensor; or a mix
-    of display values, as set in the rain.
+    of display values, as in the paper.
     """
     curve = "srgb" if sensor is None else sensor.tone_curve
     levels, drop = np.linspace(0, 1, 1 << 12), np.atleast_1d(np.asarray(drop_levels, np.float64)) / 255
-    if rain.rain_light == "linear":
+    if not rain.is_paper:
         behind = light_of_display(levels, curve).astype(np.float32)
         light = light_of_display(drop, curve).astype(np.float32)
         shown = (255 * tone_curve(np.linspace(0, 1, 1 << 15), curve)).astype(np.float32)

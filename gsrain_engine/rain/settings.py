@@ -139,21 +139,10 @@ class RainSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         title="Fall speed", extra={"group": "Physics"},
         description="Fall speed by diameter: the calibration's fit, or Atlas et al. (1973).")] = "calibration"
 
-    streak_frame: Annotated[Literal["camera", "world"], Meta(
-        title="Streak frame", extra={"group": "Physics"},
-        description="camera: streaks follow the drop's motion seen from the moving camera.")] = "camera"
-    rain_light: Annotated[Literal["linear", "display"], Meta(
-        title="Drop blending", extra={"option": "blend-space", "commands": "evaluate streaks", "group": "Physics"},
-        description="linear: a drop's light adds in linear space. display: the paper's mixing.")] = "linear"
-    far_drops: Annotated[Literal["haze", "published"], Meta(
-        title="Far drops", extra={"group": "Physics"},
-        description="haze: far drops are haze only. published: drawn with the haze opacity.")] = "haze"
-    streak_reset: Annotated[Literal["lattice", "paper"], Meta(
-        title="Drop re-entry", extra={"group": "Physics"},
-        description="lattice: uniform density. paper: drops re-enter at the top only.")] = "lattice"
-    haze_reset: Annotated[Literal["fade", "paper"], Meta(
-        title="Haze update", extra={"group": "Physics"},
-        description="fade: come and go slowly. paper: jump each frame.")] = "fade"
+    model: Annotated[Literal["physical", "paper"], Meta(
+        title="Model", extra={"commands": "evaluate streaks", "group": "Physics"},
+        description="paper: the paper's own form where it differs: streaks as of a still camera; drops are mixed as "
+        "display values, fall straight and re-enter at the top; haze Gaussians jump each frame.")] = "physical"
 
     critical_haze_coefficient: Annotated[float, Meta(
         ge=0.1, le=50, title="Streak-to-haze factor", extra={"group": "Appearance", "scale": "log"},
@@ -255,6 +244,10 @@ class RainSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             msgspec.structs.force_setattr(self, "wind_speed_m_s", speed_m_s)
             if speed_m_s > 0:
                 msgspec.structs.force_setattr(self, "wind_from_deg", from_deg)
+
+    @property
+    def is_paper(self) -> bool:
+        return self.model == "paper"
 
     @property
     def wind_vector_m_s(self) -> tuple[float, float]:
