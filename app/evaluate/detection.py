@@ -52,6 +52,8 @@ from gsrain_engine.evaluation.detection.figures import detection_sheet, figure_p
 from gsrain_engine.evaluation.detection.ground_truth import MIN_HEIGHT_PX, MIN_VISIBILITY, read_coco
 from gsrain_engine.evaluation.detection.metrics import Robustness
 from gsrain_engine.evaluation.report import ReportFigure, ReportTable, RunReport, input_fingerprint, write_report
+from gsrain_engine.rain.calibration import load_calibration
+from gsrain_engine.rain.properties import extinction_note
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.simulation import OVERCAST
 from gsrain_engine.render.images import write_image
@@ -175,6 +177,7 @@ def detection(
     with open_renderer(backend) as renderer:
         own_scale = 1.0 if 1.0 in scales else scales[0]
         rain_of_all = (weather or WeatherOptions()).settings(base, diameter_scale=own_scale)
+        load_calibration(rain_of_all.calibration)  # before the views are drawn
         prepared = opened_source(renderer, chosen, rain_of_all)
         parts: list[RainAttribution] = []
         if is_decomposed:
@@ -212,7 +215,7 @@ def detection(
         print_shares(numbers.plain["attribution"], ("detector",), Console(width=_COLUMNS))
     if numbers.drop_sizes:
         print_drop_sizes(numbers.drop_sizes, Console(width=_COLUMNS))
-    for sentence in detector_notes(numbers):
+    for sentence in filter(None, (numbers.settings["extinction"], *detector_notes(numbers))):
         print(sentence)
     if video is not None:
         print(f"{video}: {collector.frames} frames")
@@ -375,6 +378,9 @@ def detection_numbers(
         "size_px": [camera.width, camera.height],
         "seeds": list(range(seeds)),
         "rain": rain,
+        "extinction": extinction_note(
+            msgspec.structs.replace(source.pictures.rain, intensity_mm_h=each.intensity_mm_h) for each in scored
+        ),
         "rain_before_pictures": source.pictures.photos is not None,
         "least_iou": 0.5,
         "found_from_confidence": summary.FOUND_FROM,
