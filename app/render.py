@@ -345,7 +345,7 @@ def _describe(simulation: RainSimulation, first_s: float) -> str:
         return f"{when}{fog or 'clear'}"
     classed = f" ({state.rain_class})" if state.rain_class else ""
     asked = f"{when}{state.intensity_mm_h:g} mm/h asked{classed}"
-    rain = f"{asked}, {state.implied_mm_h:.3g} mm/h drawn, {state.drops:,} drops"
+    rain = f"{asked}, {state.implied_mm_h:.3g} mm/h drawn, {state.drops:,} drops, extinction {state.extinction_text}"
     beyond = "beyond calibration" if state.beyond_calibration else ""
     return ", ".join(filter(None, [rain, fog, beyond, simulation.rain.exaggeration]))
 
@@ -359,6 +359,7 @@ def _extinction(simulation: RainSimulation, picture: PictureProvenance) -> dict[
     fog = {} if rain.visibility_m is None else {"fog_extinction_per_m": simulation.state.fog_extinction_per_m}
     return fog | {
         "extinction_per_m": beta,
+        "marshall_palmer_extinction_per_m": simulation.state.marshall_palmer_extinction_per_m,
         "meteorological_range_m": simulation.state.visibility_m if beta > 0 else None,
         "airlight_linear": airlight,
     }

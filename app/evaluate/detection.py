@@ -53,6 +53,8 @@ from gsrain_engine.evaluation.detection.ground_truth import MIN_HEIGHT_PX, MIN_V
 from gsrain_engine.evaluation.detection.metrics import Robustness
 from gsrain_engine.evaluation.report import ReportFigure, ReportTable, RunReport, input_fingerprint, write_report
 from gsrain_engine.rain.available import check_available
+from gsrain_engine.rain.calibration import load_calibration
+from gsrain_engine.rain.properties import extinction_note
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.simulation import OVERCAST
 from gsrain_engine.render.images import write_image
@@ -178,6 +180,7 @@ def detection(
         rain_of_all = chosen_rain.settings(base, diameter_scale=own_scale)
         is_scene = chosen.source is None or names_scene(chosen.source)
         check_available(chosen_rain.changes(), rain_of_all, "scene" if is_scene else "photographs")
+        load_calibration(rain_of_all.calibration)  # before the views are drawn
         prepared = opened_source(renderer, chosen, rain_of_all)
         parts: list[RainAttribution] = []
         if is_decomposed:
@@ -215,7 +218,7 @@ def detection(
         print_shares(numbers.plain["attribution"], ("detector",), Console(width=_COLUMNS))
     if numbers.drop_sizes:
         print_drop_sizes(numbers.drop_sizes, Console(width=_COLUMNS))
-    for sentence in detector_notes(numbers):
+    for sentence in filter(None, (numbers.settings["extinction"], *detector_notes(numbers))):
         print(sentence)
     if video is not None:
         print(f"{video}: {collector.frames} frames")
@@ -378,6 +381,9 @@ def detection_numbers(
         "size_px": [camera.width, camera.height],
         "seeds": list(range(seeds)),
         "rain": rain,
+        "extinction": extinction_note(
+            msgspec.structs.replace(source.pictures.rain, intensity_mm_h=each.intensity_mm_h) for each in scored
+        ),
         "rain_before_pictures": source.pictures.photos is not None,
         "pictures": {
             f"{intensity:g} mm/h": msgspec.to_builtins(source.pictures.provenance(source.frames[0], intensity))

@@ -18,6 +18,8 @@ from gsrain_engine.evaluation.lidar.results import rain_runs as lidar_runs
 from gsrain_engine.evaluation.lidar.scan import Answer, LidarTurn, capture_turns, scene_turns, write_sweep
 from gsrain_engine.evaluation.lidar.sensor import SENSORS, LidarSensor
 from gsrain_engine.evaluation.report import ReportFigure, ReportTable, RunReport, input_fingerprint, write_report
+from gsrain_engine.rain.calibration import load_calibration
+from gsrain_engine.rain.properties import extinction_note
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.safe_io.errors import convert_checked
 from gsrain_engine.safe_io.text_files import read_whole, yaml_values
@@ -65,6 +67,7 @@ def lidar(
     output: Annotated[Path, option("Folder for figure, table and sweeps.", "--output", "-o")],
     rain: Annotated[str, setting(RainSettings, "intensity_mm_h", "Several with commas.")] = "0,1.2,8.5,12",
     visibility: Annotated[float | None, setting(RainSettings, "visibility_m")] = None,
+    calibration: Annotated[str, setting(RainSettings, "calibration")] = "published",
     spray: Annotated[bool, setting(RainSettings, "spray")] = True,
     seeds: Annotated[int, option("Number of rains of each intensity: seeds 0, 1, ...")] = 5,
     sweeps: Annotated[int, option("Number of lidar turns, evenly over the capture or the drive.")] = 1,
@@ -88,7 +91,10 @@ def lidar(
     """
     let_names_lead_outside(allow_outside)
     intensities = parse_intensities(rain)
-    converted_options({"visibility_m": visibility}, RainSettings)
+    settings = converted_options(
+        {"visibility_m": visibility, "calibration": calibration, "spray": spray and wet_road}, RainSettings
+    )
+    load_calibration(calibration)  # before anything is simulated
     check_within("--seeds", seeds, 1, 1000)
     check_within("--sweeps", sweeps, 1, 1000)
     check_within("--reflectance", reflectance, 0, 1, is_open=True)
@@ -101,9 +107,7 @@ def lidar(
     strongest: RainRun | None = None
     with progress_bar("Raining", count * len(intensities) * seeds) as advance:
         for turn in turns:
-            for run in lidar_runs(
-                turn, intensities, range(seeds), answer=answer, wet_road=wet_road, visibility_m=visibility, spray=spray
-            ):
+            for run in lidar_runs(turn, settings, intensities, range(seeds), answer=answer, wet_road=wet_road):
                 intensity = run.counts.state.intensity_mm_h
                 if write_sweeps:
                     name = f"{file_word(run.turn.name)}_rain{intensity:g}_seed{run.counts.seed}.npz"
@@ -124,7 +128,9 @@ def lidar(
         "answer": answer,
         "wet_road": wet_road,
         "visibility_m": visibility,
+        "calibration": calibration,
         "spray": spray,
+        "extinction": extinction_note(msgspec.structs.replace(settings, intensity_mm_h=each) for each in intensities),
         **run_provenance(inputs, ("numba",)),
         "sensor": msgspec.to_builtins(strongest.turn.sensor),
         "rows": [_row(run) for runs in by_intensity.values() for run in runs],
@@ -134,6 +140,7 @@ def lidar(
     write_lidar_page(output / "report.html", output / "lidar.png", by_intensity, report)
     console = Console(file=table_stream(json), width=_COLUMNS, highlight=False)
     print_lidar(by_intensity, strongest.turn.sensor, console)
+    console.print(report["extinction"], soft_wrap=True)
     what = "lidar.png, lidar.csv, lidar.json, report.html" + (", sweeps/" if write_sweeps else "")
     console.print(f"wrote {output}: {what}", soft_wrap=True)
     write_numbers(json, report)
@@ -188,6 +195,7 @@ def _row(run: RainRunCounts) -> dict[str, Any]:
         "seed": run.seed,
         "turn": run.turn,
         "extinction_per_m": run.state.extinction_per_m,
+        "marshall_palmer_extinction_per_m": run.state.marshall_palmer_extinction_per_m,
         "wetness": run.wetness,
         "range_10_m": run.range_m,
         **{name: int(getattr(tally, name).sum()) for name in _COUNTED},

@@ -37,7 +37,7 @@ RenderedOptions = options_of(
     RainSettings,
     "evaluate streaks",
     defaults={"intensity_mm_h": "that of each sequence", "sensor": "rainsense"}
-    | dict.fromkeys(_AIR, "that of --conditions"),
+    | dict.fromkeys((*_AIR, "calibration"), "that of --conditions"),
 )
 _MIN_FRAMES, _MAX_FRAMES = 5, 200
 _COLUMNS = 130

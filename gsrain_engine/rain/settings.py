@@ -121,7 +121,8 @@ class RainSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         description="Of the wind's logarithmic profile (z_0): 0.03 grass, 0.3 suburbs, 1 towns.")] = 0.3
 
     calibration: Annotated[str, Meta(
-        title="Calibration", extra={"commands": "render, disdrometer"},
+        title="Calibration", extra={
+            "commands": "render, disdrometer, drive, evaluate detection, evaluate streaks, evaluate lidar"},
         description="Name of a shipped calibration, or a calibration file.")] = "published"
     closure: Annotated[Literal["density", "published"], Meta(
         title="Number of drops from", extra={

@@ -90,6 +90,8 @@ def test_a_still_and_its_numbers(wall, tmp_path, reported, capsys):
     assert report["rain_class"] == "heavy"
     assert report["haze_gaussians"] == 0  # haze is a medium
     assert report["extinction_per_m"] == pytest.approx(1.87e-3, rel=0.01)
+    assert report["marshall_palmer_extinction_per_m"] == pytest.approx(1.25e-3, rel=0.01)
+    assert "extinction 1.87 /km (1.5 times Marshall-Palmer's)" in capsys.readouterr().out
     assert report["meteorological_range_m"] == pytest.approx(np.log(20) / report["extinction_per_m"])
     assert len(report["airlight_linear"]) == 3 and all(0 < each < 1 for each in report["airlight_linear"])
     paper = reported(*words(wall, out, "--preset", "paper"))
