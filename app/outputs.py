@@ -240,8 +240,8 @@ def run_provenance(inputs: Mapping[str, str], packages: Iterable[str] = ()) -> d
 
 
 def provenance_file(output: Path) -> Path:
-    """Return the file beside an output that holds its provenance; for a folder of pictures it is inside."""
-    return output.with_suffix(".provenance.json") if output.suffix else output / "provenance.json"
+    """Return the file beside an output, a file or a folder, that holds its provenance."""
+    return output.with_suffix(".provenance.json") if output.suffix else Path(f"{output}.provenance.json")
 
 
 def write_provenance(

@@ -176,7 +176,7 @@ def test_cameras_passes_and_twin(project, tmp_path, capsys):
     assert f"{out} and {tmp_path / 'rig.clear'}: 3 of 3 frames" in capsys.readouterr().out
     names = {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*.*") if path.is_file()}
     frames = [f"00000{k}" for k in range(3)]
-    assert names == {"rig/labels.json"} | {
+    assert names == {"rig/labels.json", "rig.provenance.json"} | {
         each for k in frames for each in (f"rig/{k}.exr", f"rig/{k}.labels.png", f"rig.clear/{k}.exr")
     }
     assert np.asarray(Image.open(out / "000000.labels.png")).shape == (48, 64)
