@@ -23,10 +23,11 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
                 raise ValueError(f"{name} must be {field_of(type(self), name).allowed}, got {value}")
 
 
-def _is_within(value: float | tuple[float, ...] | None, low: float, high: float) -> bool:
+def _is_within(value: Any, low: float, high: float) -> bool:
+    """Return whether a number, all of a tuple, or None is within bounds; numbers may be those of other libraries."""
     if isinstance(value, tuple):
         return all(low <= each <= high for each in value)
-    return value is None or low <= value <= high
+    return value is None or bool(low <= value <= high)
 
 
 @cache
