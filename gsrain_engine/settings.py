@@ -26,8 +26,8 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
 def _is_within(value: Any, low: float, high: float) -> bool:
     """Return whether a number, all of a tuple, or None is within bounds; numbers may be those of other libraries."""
     if isinstance(value, tuple):
-        return all(low <= each <= high for each in value)
-    return value is None or bool(low <= value <= high)
+        return all(low <= float(each) <= high for each in value)
+    return value is None or low <= float(value) <= high
 
 
 @cache
