@@ -237,13 +237,23 @@ def _opengl() -> list[str]:
         return []
 
 
+_LEAST_SHARE = 0.02
+"""Share of a frame that the time of an effect needs in some row to be printed; the file of numbers has them all."""
+
+
 def _print(rows: list[dict[str, Any]], numbers: dict[str, Any], console: Console) -> None:
     columns = {
         "scene": "{0[scene]}", "back end": "{0[backend]}", "size": "{0[width]}x{0[height]}",
         "mm/h": "{0[intensity_mm_h]:g}", "splats": "{0[splats]:,}", "ns/splat": "{0[ns_per_splat]:.0f}",
         "ms": "{0[frame_ms_median]:.1f}",
     }  # fmt: skip
-    columns |= {stage: f"{{0[stages_ms][{stage}]:.1f}}" for row in rows for stage in row["stages_ms"]}
+    shares = {
+        stage: max(each["stages_ms"].get(stage, 0.0) / each["frame_ms_median"] for each in rows)
+        for row in rows
+        for stage in row["stages_ms"]
+    }
+    shown = [stage for stage, share in shares.items() if share >= _LEAST_SHARE]
+    columns |= {stage: f"{{0[stages_ms][{stage}]:.1f}}" for stage in shown}
     console.print(rows_table(columns, rows))
     for fit in numbers["fits"]:
         console.print(

@@ -16,7 +16,7 @@ from gsrain_engine.editor.viewport.camera import front_camera, home_camera
 from gsrain_engine.fields import option_names
 from gsrain_engine.rain.available import Source, check_available
 from gsrain_engine.rain.calibration import load_calibration
-from gsrain_engine.rain.keyframes import NO_KEYFRAMES, Keyed, RainKeyframes, read_keyframes
+from gsrain_engine.rain.keyframes import NO_KEYFRAMES, Keyed, RainKeyframes, read_keyframes, saved_rain
 from gsrain_engine.rain.properties import RainProperties
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.simulation import RainSimulation
@@ -71,7 +71,8 @@ class RainOptions(options_of(RainSettings, "render", "")):
 
         Raises `ValueError`, which names the option, for one that has no effect on such a source.
         """
-        saved = convert_checked(scene.rain, RainSettings) if scene.rain is not None else None
+        values = saved_rain(scene)
+        saved = None if values is None else convert_checked(values, RainSettings)
         rain = self.settings(saved if self.preset is None else load_preset(self.preset))
         check_available(self.changes(), rain, source)
         return rain

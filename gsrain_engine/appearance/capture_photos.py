@@ -7,12 +7,13 @@ from jaxtyping import UInt8
 
 from ..datasets.capture import Capture, CaptureFrame
 from ..datasets.depth_maps import completed_depths, measured_depths
+from ..datasets.io.images import opened_image
 from ..datasets.sky_masks import certain_sky, sky_masks
 from ..datasets.undistort import undistort_frame
 from ..rain.frame import SkyLight
 from ..rain.simulation import RainSimulation
 from ..render.frame_input import CameraMemory, FrameInput, Mount
-from ..render.images import through_jpeg
+from ..render.images import jpeg_file
 from ..render.passes.glass import ego_motion
 from ..render.photograph import Distances, Photograph
 from ..render.view import RenderView, ego_view
@@ -91,7 +92,10 @@ class CapturePhotos:
 def as_copied(view: CaptureFrame, picture: Colors) -> Colors:
     """Return the picture of a view as its rainy copy stores it: compressed, if its file is a JPEG."""
     is_jpeg = view.image_file is not None and view.image_file.suffix.lower() in (".jpg", ".jpeg")
-    return through_jpeg(picture, COPY_JPEG_QUALITY) if is_jpeg else picture
+    if not is_jpeg:
+        return picture
+    with opened_image(jpeg_file(picture, COPY_JPEG_QUALITY), view.name) as stored:
+        return np.asarray(stored.convert("RGB"))
 
 
 def has_distances(capture: Capture) -> bool:

@@ -306,10 +306,25 @@ Saved = TypeVar("Saved", RainSettings, RainKeyframes)
 
 def rain_of(scene: Scene) -> RainSettings | None:
     """Return the rain saved with a scene; None if absent, or invalid, which is logged."""
-    values = scene.rain
-    if values is not None and isinstance(values.get("haze"), bool):  # as in older scene.json files
-        values = {**values, "haze": "medium" if values["haze"] else "none"}
-    return _read(scene, "rain", values, RainSettings)
+    return _read(scene, "rain", saved_rain(scene), RainSettings)
+
+
+def saved_rain(scene: Scene) -> dict[str, Any] | None:
+    """Return the values of the rain saved with a scene; those of older scene.json files by their present names."""
+    if scene.rain is None:
+        return None
+    values = {name: value for name, value in scene.rain.items() if name not in _SWITCHES}
+    if isinstance(values.get("haze"), bool):
+        values["haze"] = "medium" if values["haze"] else "none"
+    is_paper = any(scene.rain.get(name, value) != value for name, value in _SWITCHES.items())
+    return values | {"model": "paper"} if is_paper else values
+
+
+_SWITCHES = {
+    "streak_frame": "camera", "rain_light": "linear", "far_drops": "haze", "streak_reset": "lattice",
+    "haze_reset": "fade",
+}  # fmt: skip
+"""Settings of older files that are parts of `model` today, with their values in the physical one."""
 
 
 def keyframes_of(scene: Scene) -> RainKeyframes | None:

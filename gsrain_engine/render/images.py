@@ -47,12 +47,11 @@ def write_image(path: Path, image: Image.Image, jpeg_quality: int | None = None)
         image.save(partial, **options)
 
 
-def through_jpeg(pixels: UInt8[np.ndarray, "h w 3"], quality: int) -> UInt8[np.ndarray, "h w 3"]:
-    """Return an image as it is read back from the JPEG file that `write_image` would write."""
+def jpeg_file(pixels: UInt8[np.ndarray, "h w 3"], quality: int) -> bytes:
+    """Return the JPEG file that `write_image` would write of an image."""
     file = BytesIO()
     Image.fromarray(pixels).save(file, **_jpeg_options(quality))
-    with Image.open(file) as stored:
-        return np.asarray(stored.convert("RGB"))
+    return file.getvalue()
 
 
 def _jpeg_options(quality: int) -> dict[str, Any]:

