@@ -253,7 +253,7 @@ def _print(rows: list[dict[str, Any]], numbers: dict[str, Any], console: Console
         for stage in row["stages_ms"]
     }
     shown = [stage for stage, share in shares.items() if share >= _LEAST_SHARE]
-    columns |= {stage: f"{{0[stages_ms][{stage}]:.1f}}" for stage in shown}
+    columns |= {f"{stage} ms": f"{{0[stages_ms][{stage}]:.1f}}" for stage in shown}
     console.print(rows_table(columns, rows))
     for fit in numbers["fits"]:
         console.print(
