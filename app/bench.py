@@ -237,8 +237,8 @@ def _opengl() -> list[str]:
         return []
 
 
-_LEAST_SHARE = 0.02
-"""Share of a frame that the time of an effect needs in some row to be printed; the file of numbers has them all."""
+_SHOWN = 4
+"""Number of effects whose times are printed, those with the largest share; the file of numbers has them all."""
 
 
 def _print(rows: list[dict[str, Any]], numbers: dict[str, Any], console: Console) -> None:
@@ -252,8 +252,8 @@ def _print(rows: list[dict[str, Any]], numbers: dict[str, Any], console: Console
         for row in rows
         for stage in row["stages_ms"]
     }
-    shown = [stage for stage, share in shares.items() if share >= _LEAST_SHARE]
-    columns |= {f"{stage} ms": f"{{0[stages_ms][{stage}]:.1f}}" for stage in shown}
+    shown = sorted(shares, key=lambda stage: shares[stage])[-_SHOWN:]
+    columns |= {f"{stage} ms": f"{{0[stages_ms][{stage}]:.1f}}" for stage in shares if stage in shown}
     console.print(rows_table(columns, rows))
     for fit in numbers["fits"]:
         console.print(
