@@ -18,17 +18,17 @@ from jaxtyping import Float32
 
 from gsrain_engine.backends import Backend, device_of, open_renderer
 from gsrain_engine.editor.viewport.camera import default_path
-from gsrain_engine.rain.frame import SkyLight
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.recolor.problem import RecolorSettings
 from gsrain_engine.recolor.recolor import recolor_scene
 from gsrain_engine.recolor.views import TargetView
 from gsrain_engine.render.cpu.renderer import CpuRenderer
+from gsrain_engine.render.draw import draw
 from gsrain_engine.render.opengl.context import NoOpenGLError
 from gsrain_engine.render.renderer import Renderer, RenderStatistics, describe_machine
 from gsrain_engine.render.sequence import FrameSequence
-from gsrain_engine.render.view import rain_camera
+from gsrain_engine.render.sky_color import SkyColor
 from gsrain_engine.report.table import Column, Table
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
@@ -113,7 +113,7 @@ def time_frames(renderer: Renderer, sequences: Sequence[FrameSequence], frames: 
 
     The sequences alternate frame by frame, so that other load on the machine affects all of them alike.
     """
-    runs = [_Run(renderer, sequence, sequence.sky(renderer).light) for sequence in sequences]
+    runs = [_Run(renderer, sequence, sequence.sky(renderer)) for sequence in sequences]
     for number in range(-_WARM_UP, frames):
         for run in runs:
             run.render(max(number, 0), counts=number >= 0)
@@ -124,30 +124,23 @@ def time_frames(renderer: Renderer, sequences: Sequence[FrameSequence], frames: 
 class _Run:
     renderer: Renderer
     sequence: FrameSequence
-    sky: SkyLight
+    sky: SkyColor
     frames_ms: list[float] = field(default_factory=list[float])
     processor_ms: list[float] = field(default_factory=list[float])
     stages_ms: dict[str, list[float]] = field(default_factory=dict[str, list[float]])
     last: RenderStatistics = field(default_factory=RenderStatistics)
 
     def render(self, number: int, *, counts: bool) -> None:
-        sequence, shot = self.sequence, self.sequence.shot(number)
-        rain = sequence.rainfall
-        wetness, overcast = rain.soaked_share_at(shot.time_s), rain.overcast_at(shot.time_s)
-        parts = sequence.scene.parts(shot.time_s, wetness=wetness, overcast=overcast)
+        frame = self.sequence.frame_input(self.sequence.shot(number), self.sky)
         start, used = time.perf_counter(), time.process_time()
-        falling = sequence.rainfall.frame(shot.time_s, rain_camera(sequence.scene, sequence.rainfall, shot), self.sky)
-        rained = time.perf_counter()
-        self.renderer.draw(parts, shot.camera, falling)
-        drawn = time.perf_counter()
-        self.renderer.read()
+        picture = draw(self.renderer, frame)
+        picture.frame()
         end = time.perf_counter()
         self.last = self.renderer.statistics
         if counts:
             self.frames_ms.append(1000 * (end - start))
             self.processor_ms.append(1000 * (time.process_time() - used))
-            rain = {"rain": 1000 * (rained - start)} if falling.rain.intensity_mm_h > 0 else {}
-            for stage, took_ms in (rain | self.last.stages_ms | {"read": 1000 * (end - drawn)}).items():
+            for stage, took_ms in picture.rows_ms.items():
                 self.stages_ms.setdefault(stage, []).append(took_ms)
 
     def times(self) -> dict[str, Any]:
@@ -244,12 +237,22 @@ def _opengl() -> list[str]:
         return []
 
 
+_SHOWN = 4
+"""Number of effects whose times are printed, those with the largest share; the file of numbers has them all."""
+
+
 def _print(rows: list[dict[str, Any]], numbers: dict[str, Any], file: TextIO) -> None:
     shown = {
         "scene": "scene", "back end": "backend", "size": "size", "mm/h": "intensity_mm_h:g", "splats": "splats:,",
         "ns/splat": "ns_per_splat:.0f", "ms": "frame_ms_median:.1f",
     }  # fmt: skip
-    shown |= {stage: f"stage {stage}:.1f" for row in rows for stage in row["stages_ms"]}
+    shares = {
+        stage: max(each["stages_ms"].get(stage, 0.0) / each["frame_ms_median"] for each in rows)
+        for row in rows
+        for stage in row["stages_ms"]
+    }
+    largest = sorted(shares, key=lambda stage: shares[stage])[-_SHOWN:]
+    shown |= {f"{stage} ms": f"stage {stage}:.1f" for stage in shares if stage in largest}
     print_lines(_table(shown, rows, "stages_ms").text, file=file)
     for fit in numbers["fits"]:
         print(

@@ -13,6 +13,9 @@ import msgspec
 from cyclopts import Parameter
 
 from gsrain_engine.backends import Backend, open_renderer
+from gsrain_engine.rain.available import check_available
+from gsrain_engine.rain.calibration import load_calibration
+from gsrain_engine.rain.properties import extinction_note
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.wetness import with_wet_choice
 from gsrain_engine.render import export_settings
@@ -234,6 +237,7 @@ def drive(
             renderer = stack.enter_context(open_renderer(backend))
         runs: list[ScoredRun] = []
         problem: str | None = None
+        extinction = extinction_note(rains)
         for agent, each in product(agents, rains):
             simulation = Simulation(msgspec.structs.replace(test, rain=each), opened, agent.needs, renderer, lod=lod)
             problem = _drive(simulation, agent)
@@ -246,11 +250,14 @@ def drive(
                 break
         if not runs:
             raise ValueError(problem)
-        facts = run_provenance({})  # the runs name their scene
-        written = write_drives(files, runs, opened, renderer, provenance_lines(facts), lod, films=films)
+        facts = provenance_lines(run_provenance({}))  # the runs name their scene
+        facts |= {"rain": extinction} if extinction else {}
+        written = write_drives(files, runs, opened, renderer, facts, lod, films=films)
         if rerun is not None:
             _write_rerun(rerun, runs[0], opened, renderer if opened.rigs else None, lod)
     print_lines(results_table(compare_drives(runs)).text)
+    if extinction:
+        print(extinction)
     if len(rains) > 1 and test.friction == "dry":
         for name in [agent.name for agent in agents if not agent.needs.cameras]:
             print(f"{name} uses no camera: rain changes nothing for it.")
@@ -317,7 +324,10 @@ def _rains(
     if preset is not None:
         base = msgspec.structs.replace(load_preset(preset), intensity_mm_h=own.intensity_mm_h, seed=own.seed)
     chosen = [base.intensity_mm_h] if intensities is None else parse_intensities(intensities)
-    return [options.settings(base, intensity_mm_h=each) for each in chosen]
+    rains = [options.settings(base, intensity_mm_h=each) for each in chosen]
+    check_available(options.changes(), rains[0])
+    load_calibration(rains[0].calibration)  # before anything is drawn
+    return rains
 
 
 # Output files

@@ -28,7 +28,7 @@ from gsrain_engine.scene.transforms import flatten_scene, transform_gaussians, w
 from .console import counted, print, run_with_progress
 from .evaluate.lidar import read_sensor
 from .options import JsonFile, Wet, check_within, flag, option, parse_size, setting
-from .outputs import check_writable, lock_outputs, write_numbers
+from .outputs import check_writable, lock_outputs, write_numbers, write_provenance
 from .render import RainOptions, rainy_light, viewpoint_of
 from .scene import Orientation, names_scene
 
@@ -91,7 +91,8 @@ def export_rain(
     in its own format whose images and lidar are in rain; names, times, calibration, labels and all else stay as they
     are.
     Images have streaks in front of the photograph, and haze by the distances that lidar or points tell (without any:
-    the paper's Gaussians); surfaces stay dry. With --scene they are rendered, wet, through a scene of the recording.
+    those of a level road); surfaces stay dry. With --scene they are rendered, wet, through a scene of the recording.
+    COPY.provenance.json, beside the copy, says what each image holds.
     """
     if names_scene(source):
         check_writable(output, json)
@@ -121,7 +122,9 @@ def _export_gaussians(
     wet: bool | None,
     with_scene: bool,
 ) -> dict[str, Any]:
-    settings = _without_fog(rain, scene)
+    settings = rain.for_scene(scene, "Gaussians with scene" if with_scene else "Gaussians")
+    if settings.visibility_m is not None:  # of a preset, or saved with the scene
+        raise ValueError(f"fog, visibility {settings.visibility_m:g} m: needs distances; gsrain render draws it")
     if with_scene or wet is not None:
         scene, settings = rainy_light(scene, settings, wet, settings.intensity_mm_h)
     simulation = RainSimulation.start(settings.without_medium)  # a file has Gaussians only
@@ -151,18 +154,6 @@ def _export_gaussians(
     }
 
 
-def _without_fog(rain: RainOptions, scene: Scene) -> RainSettings:
-    """Return the rain; raises ValueError for fog, which neither Gaussians nor photographs without distances have."""
-    settings = rain.for_scene(scene)
-    _refuse_fog(settings)
-    return settings
-
-
-def _refuse_fog(settings: RainSettings) -> None:
-    if settings.visibility_m is not None:
-        raise ValueError(f"--visibility {settings.visibility_m:g}: fog needs distances; gsrain render draws it")
-
-
 def _export_recording(
     source: Path,
     rain: RainOptions,
@@ -177,7 +168,14 @@ def _export_recording(
     capture = recording.capture
     target = _copy_path(recording, source, output)
     world = Scene(capture.name) if scene is None else load_sorted_scene(scene)
-    settings = rain.for_scene(world)
+    settings = rain.for_scene(world, "photographs" if scene is None else "scene")
+    if scene is None and wet:
+        raise ValueError("--wet: photographs have no surfaces for it; --scene names a scene of the recording")
+    bent = next((view.sensor or view.name for view in capture if view.lens is not None), None)
+    if settings.glass != "none" and bent is not None:
+        raise ValueError(
+            f"--glass {settings.glass}: water on glass is drawn for pinholes, and camera {bent} has a lens"
+        )
     lock_outputs(target)
     turns = lidar.of(capture, settings) if recording.has_lidar and not RainSimulation.start(settings).is_dry else None
     with open_renderer("cpu") as renderer:
@@ -195,6 +193,8 @@ def _export_recording(
     if isinstance(pictures, PhotoRain):
         numbers["images_with_distances"] = pictures.with_distances
         how = f"{pictures.with_distances} of them with distances for the haze"
+        if pictures.with_distances < pictures.written:
+            how += ", the others as over a level road"
     print(f"{target}: {counted(pictures.written, 'rainy image')} ({how}), {settings.intensity_mm_h:g} mm/h")
     if turns is not None:
         lost = turns.recorded - (turns.written - turns.false)
@@ -205,6 +205,7 @@ def _export_recording(
     counts = {"changed": files.changed, "copied": files.copied, "linked": files.linked, "left out": len(files.left_out)}
     print(f"files: {', '.join(f'{count:,} {what}' for what, count in counts.items())}")
     numbers |= {f"files_{what.replace(' ', '_')}": count for what, count in counts.items()}
+    write_provenance(target, pictures.provenance, target.with_name(f"{target.name}.provenance.json"))
     return numbers | {"cameras": list(capture.sensors)}
 
 

@@ -14,11 +14,14 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO, cast
 
+import msgspec
+
 from gsrain_engine.scene.files import hold_for_writing, name_problem, shortened, whole_file
 
 from .console import print, print_lines
 
 if TYPE_CHECKING:
+    from gsrain_engine.render.provenance import PictureProvenance
     from gsrain_engine.report.page import RunReport
 
 SCREEN = Path("-")
@@ -227,13 +230,27 @@ def write_page(report: Path, page: "RunReport", json: Path | None, numbers: Mapp
     print(f"wrote {', '.join(map(str, written))}", file=sys.stderr)
 
 
-# Provenance of an evaluation's numbers: command line, versions, and hashes of the inputs
+# PictureProvenance of an evaluation's numbers: command line, versions, and hashes of the inputs
 
 
 def run_provenance(inputs: Mapping[str, str], packages: Iterable[str] = ()) -> dict[str, Any]:
     """Return the provenance for a file of numbers: `inputs` are hashes by name, `packages` the relevant ones."""
     versions = {name: version_of(name) for name in ("gsrain", "numpy", *packages)}
     return {"command": command_line(), "versions": versions, "inputs": dict(inputs)}
+
+
+def provenance_file(output: Path) -> Path:
+    """Return the file beside an output, a file or a folder, that holds its provenance."""
+    return output.with_suffix(".provenance.json") if output.suffix else Path(f"{output}.provenance.json")
+
+
+def write_provenance(
+    output: Path, pictures: "Mapping[str, PictureProvenance]", file: Path | None = None
+) -> dict[str, Any]:
+    """Write what the pictures of an output hold, by name, beside it or to a file; returns it for other files."""
+    facts = run_provenance({}) | {"pictures": {name: msgspec.to_builtins(each) for name, each in pictures.items()}}
+    write_text(file or provenance_file(output), json.dumps(facts, indent=1) + "\n")
+    return {"provenance": facts}
 
 
 def provenance_lines(facts: Mapping[str, Any]) -> dict[str, str]:

@@ -47,7 +47,7 @@ def publish(
     check_within("--duration", duration, 0, LONGEST_S, "s", is_open=True)
     check_writable(output, json)
     opened = (orientation or Orientation()).of(load_sorted_scene(scene))
-    settings = (rain or RainOptions()).for_scene(opened)
+    settings = (rain or RainOptions()).for_scene(opened, "page")
     opened, settings = rainy_light(opened, settings, wet, settings.intensity_mm_h)
     film = ExportSettings(output="page.mp4", first_s=time)
     viewpoint = viewpoint_of(opened, camera, camera_path, film)

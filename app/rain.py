@@ -238,6 +238,7 @@ def _disdrometer_numbers(counted: DisdrometerMeasurement) -> dict[str, Any]:
         "records": len(counted.counts),
         "record_mm_h": counted.record_rates_mm_h.tolist(),
         "extinction_per_m": state.extinction_per_m,
+        "marshall_palmer_extinction_per_m": state.marshall_palmer_extinction_per_m,
         "meteorological_range_m": state.visibility_m if state.extinction_per_m > 0 else None,
         "beyond_calibration": state.beyond_calibration,
         "calibrated_up_to_mm_h": state.calibrated_up_to_mm_h,
@@ -278,7 +279,8 @@ def _print_disdrometer(counted: DisdrometerMeasurement) -> None:
         return
     console.print(
         f"in the air {counted.density_m3:,.0f} drops/m³ (asked {state.density_m3:,.0f}), "
-        f"mean diameter {counted.mean_diameter_mm:.3f} mm (asked {state.mean_diameter_mm:.3f})"
+        f"mean diameter {counted.mean_diameter_mm:.3f} mm (asked {state.mean_diameter_mm:.3f}), "
+        f"extinction {state.extinction_text}"
     )
     law = f"gamma law of diameters: shape {state.shape:.4g}, scale {state.scale_mm:.3g} mm asked"
     fitted = _fitted_sizes(counted)

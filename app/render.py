@@ -9,14 +9,14 @@ from typing import Annotated, Any
 
 import numpy as np
 from cyclopts import Parameter
-from msgspec import structs
 
 from gsrain_engine.backends import Backend, open_renderer
 from gsrain_engine.editor.jobs.record import own_path
 from gsrain_engine.editor.viewport.camera import front_camera, home_camera
 from gsrain_engine.fields import option_names
+from gsrain_engine.rain.available import Source, check_available
 from gsrain_engine.rain.calibration import load_calibration
-from gsrain_engine.rain.keyframes import NO_KEYFRAMES, Keyed, RainKeyframes, read_keyframes
+from gsrain_engine.rain.keyframes import NO_KEYFRAMES, Keyed, RainKeyframes, read_keyframes, saved_rain
 from gsrain_engine.rain.properties import RainProperties
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.simulation import RainSimulation
@@ -25,8 +25,9 @@ from gsrain_engine.rain.wetness import missing_wet_colors, with_wet_choice
 from gsrain_engine.render.export import export_frames, export_sequences, frame_numbers
 from gsrain_engine.render.export_settings import DEFAULT_SIZE_PX, ExportSettings, export_outputs
 from gsrain_engine.render.object_labels import LabelFormat
+from gsrain_engine.render.provenance import PictureProvenance, provenance_of
 from gsrain_engine.render.renderer import Renderer, RenderMode
-from gsrain_engine.render.sequence import FrameSequence
+from gsrain_engine.render.sequence import FrameSequence, common_sky
 from gsrain_engine.safe_io.errors import convert_checked
 from gsrain_engine.scene.camera import Camera, read_camera
 from gsrain_engine.scene.camera_path import CameraPath
@@ -51,7 +52,7 @@ from .options import (
     options_of,
     parse_intensities,
 )
-from .outputs import check_image, check_writable, lock_outputs, write_numbers
+from .outputs import check_image, check_writable, lock_outputs, write_numbers, write_provenance
 from .scene import Orientation, TimedPath, timed_path
 
 _FILE_ENDINGS = (".png", ".jpg", ".jpeg", ".exr", ".npy", ".mp4", ".webm", ".json")
@@ -65,11 +66,16 @@ class RainOptions(options_of(RainSettings, "render", "")):
 
     preset: Preset = None
 
-    def for_scene(self, scene: Scene) -> RainSettings:
-        """Return the preset, else the scene's saved rain, else no rain, with the options set."""
-        if self.preset is not None:
-            return self.settings(load_preset(self.preset))
-        return self.settings(convert_checked(scene.rain, RainSettings) if scene.rain is not None else None)
+    def for_scene(self, scene: Scene, source: Source = "scene") -> RainSettings:
+        """Return the preset, else the scene's saved rain, else no rain, with the options set.
+
+        Raises `ValueError`, which names the option, for one that has no effect on such a source.
+        """
+        values = saved_rain(scene)
+        saved = None if values is None else convert_checked(values, RainSettings)
+        rain = self.settings(saved if self.preset is None else load_preset(self.preset))
+        check_available(self.changes(), rain, source)
+        return rain
 
 
 RecordingOptions = options_of(ExportSettings, "render", defaults={"size_px": "960x640, or the camera's own"})
@@ -135,8 +141,6 @@ def render(
     heaviest = max(intensities or [(weather or NO_KEYFRAMES).heaviest_mm_h(settings)])
     load_calibration(settings.calibration)  # before colors are computed for a rain that can't be made
     opened, settings = rainy_light(opened, settings, wet, heaviest)
-    if wet and heaviest == 0 and settings.wetness is None:  # asked for without rain: soaked
-        settings = structs.replace(settings, wetness=1.0)
     simulation = RainSimulation.start(settings, weather=weather)
     is_own_path = camera is None and camera_path is None and opened.path is not None
     viewpoint = viewpoint_of(opened, camera, camera_path, export)
@@ -148,7 +152,8 @@ def render(
     sequences = export_sequences(export, opened, simulation, viewpoint, in_scene_time=is_own_path)
     if intensities is not None:
         with open_renderer(backend) as renderer:
-            write_numbers(json, _write_sheet(renderer, sequences, settings, intensities, export.path))
+            numbers = _write_sheet(renderer, sequences, settings, intensities, export.path, wet)
+        write_numbers(json, numbers)
         return 0
     numbers = _frame_numbers(export, sequences, duration, frame)
     shots = {name: sequence.shot(numbers[0]) for name, sequence in sequences.items()}
@@ -163,8 +168,13 @@ def render(
         frames = export_frames(renderer, export, sequences, numbers, look=mode)
         report = _record(frames, renderer, simulation.state_at(first_s), len(numbers))
         if json is not None:
-            report |= _extinction(renderer, next(iter(sequences.values())), first_s)
             report |= _glass(sequences, numbers[max(report["frames"], 1) - 1])
+        sky = common_sky(renderer, sequences)
+        pictures = {
+            name: provenance_of(sequence.frame_input(sequence.shot(numbers[0]), sky, mode))
+            for name, sequence in sequences.items()
+        }
+        report |= _extinction(simulation.frozen_at(first_s), next(iter(pictures.values())))
         labeled: list[Path] = []
         if labels is not None and (done := numbers[: report["frames"]]):
             from gsrain_engine.render.label_export import write_object_labels  # loads OpenCV, which images don't need
@@ -184,9 +194,8 @@ def render(
     if labeled:
         print(f"{_listed(labeled)}: labels, the same with rain and without")
     speeds = {"speed_m_s": timing.speed_m_s, "speed_is_assumed": timing.is_assumed} if timing is not None else {}
-    write_numbers(
-        json, report | {"visible_distance": distances, "lamps": len(lamps), "backend": renderer.name} | speeds
-    )
+    report |= {"visible_distance": distances, "lamps": len(lamps), "backend": renderer.name} | speeds
+    write_numbers(json, report | write_provenance(Path(export.output), pictures))
     return 0 if report["frames"] == len(numbers) else 130
 
 
@@ -199,7 +208,7 @@ def rainy_light(scene: Scene, rain: RainSettings, wet: bool | None, heaviest_mm_
         from gsrain_engine.recolor.cached_colors import cached_wet_scene  # kernels take a second to load
 
         scene = run_with_progress(cached_wet_scene(scene))
-    rain = with_wet_choice(rain, wet)
+    rain = with_wet_choice(rain, wet, heaviest_mm_h)
     if (line := missing_wet_colors(scene, rain, heaviest_mm_h)) is not None:
         print(line, file=sys.stderr)
     return scene, rain
@@ -305,16 +314,21 @@ def _write_sheet(
     rain: RainSettings,
     intensities: Sequence[float],
     output: Path,
+    wet: bool | None,
 ) -> dict[str, Any]:
     """Render and write a sheet of intensities; returns its numbers."""
     from gsrain_engine.render.intensity_sheet import write_sheet  # loads OpenCV, which images don't need
 
     lock_outputs(output)
-    cells = run_with_progress(write_sheet(renderer, sequences, intensities, output))
+    cells = run_with_progress(write_sheet(renderer, sequences, intensities, output, wet=wet))
+    pictures = {
+        f"{cell.view} {cell.intensity_mm_h:g} mm/h".lstrip(): cell.provenance for cell in cells if cell.provenance
+    }
     for cell in cells:
         print(f"{f'{cell.view}, ' if cell.view else ''}{cell.intensity_mm_h:g} mm/h: {cell.caption}")
     print(", ".join(filter(None, [f"{output}: {len(cells)} images", rain.exaggeration])))
-    return {"cells": [cell.numbers for cell in cells], "backend": renderer.name}
+    facts = write_provenance(output, pictures)
+    return {"cells": [cell.numbers for cell in cells], "backend": renderer.name} | facts
 
 
 def _listed(paths: list[Path]) -> str:
@@ -332,22 +346,21 @@ def _describe(simulation: RainSimulation, first_s: float) -> str:
         return f"{when}{fog or 'clear'}"
     classed = f" ({state.rain_class})" if state.rain_class else ""
     asked = f"{when}{state.intensity_mm_h:g} mm/h asked{classed}"
-    rain = f"{asked}, {state.implied_mm_h:.3g} mm/h drawn, {state.drops:,} drops"
+    rain = f"{asked}, {state.implied_mm_h:.3g} mm/h drawn, {state.drops:,} drops, extinction {state.extinction_text}"
     beyond = "beyond calibration" if state.beyond_calibration else ""
     return ", ".join(filter(None, [rain, fog, beyond, simulation.rain.exaggeration]))
 
 
-def _extinction(renderer: Renderer, sequence: FrameSequence, time_s: float) -> dict[str, float | list[float] | None]:
+def _extinction(simulation: RainSimulation, picture: PictureProvenance) -> dict[str, float | list[float] | None]:
     """Extinction of the rain at a time, and the light that replaces what is lost; None for what does not exist."""
-    simulation = sequence.rainfall.frozen_at(time_s)
     beta, rain = simulation.state.extinction_per_m, simulation.rain
     airlight: list[float] | None = None
     if beta > 0 and (rain.haze == "medium" or rain.visibility_m is not None):
-        color = rain.drop_color or sequence.sky(renderer).at(sequence.rainfall.overcast_at(time_s)).airlight
-        airlight = srgb_to_linear(np.array(color)).tolist()
+        airlight = srgb_to_linear(np.array(picture.light.airlight)).tolist()
     fog = {} if rain.visibility_m is None else {"fog_extinction_per_m": simulation.state.fog_extinction_per_m}
     return fog | {
         "extinction_per_m": beta,
+        "marshall_palmer_extinction_per_m": simulation.state.marshall_palmer_extinction_per_m,
         "meteorological_range_m": simulation.state.visibility_m if beta > 0 else None,
         "airlight_linear": airlight,
     }

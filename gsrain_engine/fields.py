@@ -1,8 +1,9 @@
 """The field table: declarations of settings, for forms, command-line options, documentation and JSON schemas.
 
-A setting is one field of a `msgspec.Struct`, and `Meta` has its title, description and bounds. `extra` has the rest:
+A setting is one field of a `msgspec.Struct`, and `Meta` has its title, description and bounds; those of a number that
+may be None, or of the numbers in a tuple, are in a `Meta` of their own around `float` or `int`. `extra` has the rest:
 
-* `unit`; `ge` and `le` where None is possible, which msgspec would not accept itself
+* `unit`
 * `none`: label of None; `usual`: first value when None is switched off
 * `group`: heading of the form under which it is drawn; `scale` "log" or `slider_to`: course and end of its slider
 * `commands`: commands, separated by commas, of which it is an option; `option`: names of the option separated by
@@ -124,6 +125,17 @@ class Field:
         return f"{above}{number_text(low)}..{below}{number_text(high)} {self.unit}".rstrip()
 
     @property
+    def allowed(self) -> str:
+        """Bounds as words of an error, such as `within 0..100 mm/h` or `above 0`."""
+        low, high = (None if each is None else number_text(each) for each in self.bounds)
+        above, below = ("above " * self.is_open[0], "below " * self.is_open[1])
+        if low is None or high is None:
+            words = f"{above or 'at least '}{low}" if high is None else f"{below or 'at most '}{high}"
+        else:
+            words = f"{'' if above else 'within '}{above}{low}..{below}{high}"
+        return f"{words} {self.unit}".rstrip()
+
+    @property
     def described(self) -> str:
         """Help text with bounds and unit, or with the value that an option without one sets."""
         if "on" in self.extra:
@@ -230,9 +242,6 @@ def schema_of(kind: Any) -> dict[str, Any]:
         for each in fields_of(struct):
             if each.unit:
                 properties[each.name]["x-unit"] = each.unit
-            for word, bound in zip(("ge", "le"), ("minimum", "maximum"), strict=True):
-                if word in each.extra and each.none is not None:  # bounds of a number that may be None
-                    properties[each.name]["anyOf"][0][bound] = each.extra[word]
     return schema
 
 
@@ -244,12 +253,16 @@ def number_text(number: float) -> str:
 def _read(field: Any, hint: Any) -> Field:
     kind, metas = _unwrapped(hint)
     extra = {key: value for meta in reversed(metas) for key, value in (meta.extra or {}).items()}
+    bounding = metas
+    if get_origin(kind) is tuple:
+        members = [_unwrapped(each) for each in get_args(kind)]
+        kind, bounding = tuple[tuple(each for each, _ in members)], members[0][1]
     return Field(
         name=field.name, kind=kind, is_optional=_takes_none(hint), default=field.default,
         title=_first(metas, "title") or field.name, help=_first(metas, "description") or "",
         unit=extra.get("unit", ""), extra=extra, multiple_of=int(_first(metas, "multiple_of") or 1),
-        bounds=(_bound(metas, extra, "ge", "gt"), _bound(metas, extra, "le", "lt")),
-        is_open=(_first(metas, "gt") is not None, _first(metas, "lt") is not None),
+        bounds=(_bound(bounding, "ge", "gt"), _bound(bounding, "le", "lt")),
+        is_open=(_first(bounding, "gt") is not None, _first(bounding, "lt") is not None),
     )  # fmt: skip
 
 
@@ -276,6 +289,6 @@ def _first(metas: list["msgspec.Meta"], name: str) -> Any:
     return next((value for each in metas if (value := getattr(each, name)) is not None), None)
 
 
-def _bound(metas: list["msgspec.Meta"], extra: Mapping[str, Any], closed: str, open: str) -> float | None:
-    found = (_first(metas, closed), _first(metas, open), extra.get(closed))
-    return next((each for each in found if each is not None), None)
+def _bound(metas: list["msgspec.Meta"], closed: str, open: str) -> float | None:
+    bound = _first(metas, closed)
+    return _first(metas, open) if bound is None else bound

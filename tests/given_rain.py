@@ -31,9 +31,9 @@ class GivenRain(RainFrame):
         return self.given
 
 
-def given_rain(gaussians: Gaussians, light=(0.5, 0.5, 0.5), mixing: Literal["linear", "display"] = "linear"):
+def given_rain(gaussians: Gaussians, light=(0.5, 0.5, 0.5), model: Literal["physical", "paper"] = "physical"):
     rain = RainSettings(
-        intensity_mm_h=1.0, streaks=False, haze="gaussians", rain_light=mixing,
+        intensity_mm_h=1.0, streaks=False, haze="gaussians", model=model,
         drop_color=tuple(linear_to_srgb(np.array(light, np.float32).astype(np.float64)).tolist()),
     )  # fmt: skip
     frame = RainSimulation.start(rain).frame(0.0, HERE)

@@ -4,21 +4,25 @@ import importlib.util
 import inspect
 import json
 import os
+import re
 import subprocess
 import sys
-from typing import get_args
+from collections.abc import Iterator
+from typing import Annotated, Any, get_args, get_origin
 
 import msgspec
 import pytest
 import yaml
 from cyclopts import App
+from msgspec import Meta
 
 from app.main import app, benchmarks, evaluations, run
 from app.schema import SETTINGS, Kind, settings_type
 from gsrain_engine.disdrometer.tables import TableColumns
-from gsrain_engine.fields import field_of, fields_of, option_names, structs_of
+from gsrain_engine.fields import Field, field_of, fields_of, option_names, structs_of
 from gsrain_engine.presets import shipped_path
 from gsrain_engine.rain.settings import RainSettings
+from gsrain_engine.settings import Settings
 from repository import REPOSITORY
 from ui.commands.table import SHELL_COMMANDS
 from ui.panels.rain import GROUPS
@@ -132,6 +136,59 @@ def test_fields_name_existing_commands():
 def test_fields_have_bounds_default_and_option(name, range, default, options):
     field = field_of(RainSettings, name)
     assert (field.range, field.default_text, field.options) == (range, default, options)
+
+
+def subclasses(kind: type) -> Iterator[type]:
+    for each in kind.__subclasses__():
+        yield each
+        yield from subclasses(each)
+
+
+def outside(field: Field) -> float | int | tuple[float, ...]:
+    """The first number beyond a bound."""
+    end = 0 if field.bounds[0] is not None else 1
+    step = 0 if field.is_open[end] else 1 - 2 * (end == 0)
+    value = field.bounds[end] + step
+    count = len(get_args(field.kind))
+    return (value,) * count if get_origin(field.kind) is tuple else value
+
+
+def test_constructors_check_all_bounds():
+    """Also those of numbers that may be None, and in tuples, with field, range and value; `replace` does it, too."""
+    checked = 0
+    for kind in subclasses(Settings):
+        for field in fields_of(kind):
+            if field.bounds != (None, None):
+                with pytest.raises(ValueError, match=f"^{field.name} must be .*, got "):
+                    kind(**required_of(kind) | {field.name: outside(field)})
+                checked += 1
+    assert checked > 200
+    with pytest.raises(ValueError, match=r"^intensity_mm_h must be within 0\.\.149 mm/h, got 150$"):
+        msgspec.structs.replace(RainSettings(), intensity_mm_h=150)
+
+
+def required_of(kind: type[Settings]) -> dict[str, Any]:
+    """Values without bounds are enough: bounds are checked first."""
+    return {each.name: None for each in fields_of(kind) if each.default is msgspec.NODEFAULT}
+
+
+@pytest.mark.parametrize(
+    ("annotation", "words", "allowed", "refused"),
+    [
+        (Annotated[float, Meta(gt=0)], "above 0", 1e-300, 0.0),
+        (Annotated[int, Meta(ge=1)] | None, "at least 1", None, 0),
+        (Annotated[float, Meta(lt=2)], "below 2", 1.99, 2.0),
+        (Annotated[float, Meta(le=2)], "at most 2", 2, 2.1),
+        (Annotated[float, Meta(gt=0, le=2)], "above 0..2", 2, 0.0),
+        (tuple[Annotated[float, Meta(ge=0, le=2)], ...], "within 0..2", (), (1.0, 3.0)),
+    ],
+)
+def test_bounds_may_be_open_or_one_sided(annotation, words, allowed, refused):
+    kind = msgspec.defstruct("Bounded", [("value", annotation)], bases=(Settings,), frozen=True, kw_only=True)
+    assert kind(value=allowed).value == allowed
+    with pytest.raises(ValueError, match=f"^value must be {re.escape(f'{words}, got {refused}')}$"):
+        kind(value=refused)
+    assert msgspec.convert({"value": allowed}, kind) == kind(value=allowed)
 
 
 @pytest.mark.parametrize("kind", get_args(Kind))

@@ -52,6 +52,9 @@ from gsrain_engine.evaluation.detection.drawing import draw_truths
 from gsrain_engine.evaluation.detection.figures import detection_sheet, figure_pixels, object_figure, precision_figure
 from gsrain_engine.evaluation.detection.ground_truth import MIN_HEIGHT_PX, MIN_VISIBILITY, read_coco
 from gsrain_engine.evaluation.detection.metrics import Robustness
+from gsrain_engine.rain.available import check_available
+from gsrain_engine.rain.calibration import load_calibration
+from gsrain_engine.rain.properties import extinction_note
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.simulation import OVERCAST
 from gsrain_engine.render.images import write_image
@@ -173,8 +176,11 @@ def detection(
     base = load_preset(preset) if preset is not None else RainSettings()
     scales = scales or [base.diameter_scale]
     with open_renderer(backend) as renderer:
-        own_scale = 1.0 if 1.0 in scales else scales[0]
-        rain_of_all = (weather or WeatherOptions()).settings(base, diameter_scale=own_scale)
+        own_scale, chosen_rain = 1.0 if 1.0 in scales else scales[0], weather or WeatherOptions()
+        rain_of_all = chosen_rain.settings(base, diameter_scale=own_scale)
+        is_scene = chosen.source is None or names_scene(chosen.source)
+        check_available(chosen_rain.changes(), rain_of_all, "scene" if is_scene else "photographs")
+        load_calibration(rain_of_all.calibration)  # before the views are drawn
         prepared = opened_source(renderer, chosen, rain_of_all)
         parts: list[RainAttribution] = []
         if is_decomposed:
@@ -211,7 +217,7 @@ def detection(
     for table in _tables(replace(numbers, shares=own, distances=[])):
         print(f"{table.title}:")
         print_lines(f"{table.text}\n")
-    for sentence in detector_notes(numbers):
+    for sentence in filter(None, (numbers.settings["extinction"], *detector_notes(numbers))):
         print(sentence)
     if video is not None:
         print(f"{video}: {collector.frames} frames")
@@ -374,7 +380,14 @@ def detection_numbers(
         "size_px": [camera.width, camera.height],
         "seeds": list(range(seeds)),
         "rain": rain,
+        "extinction": extinction_note(
+            msgspec.structs.replace(source.pictures.rain, intensity_mm_h=each.intensity_mm_h) for each in scored
+        ),
         "rain_before_pictures": source.pictures.photos is not None,
+        "pictures": {
+            f"{intensity:g} mm/h": msgspec.to_builtins(source.pictures.provenance(source.frames[0], intensity))
+            for intensity in sorted({row.intensity_mm_h for row in rows if row.picture == "rainy"})
+        },
         "least_iou": 0.5,
         "found_from_confidence": summary.FOUND_FROM,
         "least_height_px": MIN_HEIGHT_PX,

@@ -14,6 +14,8 @@ from gsrain_engine.evaluation.lidar.results import RainRun, RainRunCounts, write
 from gsrain_engine.evaluation.lidar.results import rain_runs as lidar_runs
 from gsrain_engine.evaluation.lidar.scan import Answer, LidarTurn, capture_turns, scene_turns, write_sweep
 from gsrain_engine.evaluation.lidar.sensor import SENSORS, LidarSensor
+from gsrain_engine.rain.calibration import load_calibration
+from gsrain_engine.rain.properties import extinction_note
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.report.interval import Interval
 from gsrain_engine.report.page import ReportFigure, RunReport, input_fingerprint, write_report
@@ -62,6 +64,7 @@ def lidar(
     output: Annotated[Path, option("Folder for figure, table and sweeps.", "--output", "-o")],
     rain: Annotated[str, setting(RainSettings, "intensity_mm_h", "Several with commas.")] = "0,1.2,8.5,12",
     visibility: Annotated[float | None, setting(RainSettings, "visibility_m")] = None,
+    calibration: Annotated[str, setting(RainSettings, "calibration")] = "published",
     spray: Annotated[bool, setting(RainSettings, "spray")] = True,
     seeds: Annotated[int, option("Number of rains of each intensity: seeds 0, 1, ...")] = 5,
     sweeps: Annotated[int, option("Number of lidar turns, evenly over the capture or the drive.")] = 1,
@@ -85,7 +88,10 @@ def lidar(
     """
     let_names_lead_outside(allow_outside)
     intensities = parse_intensities(rain)
-    converted_options({"visibility_m": visibility}, RainSettings)
+    settings = converted_options(
+        {"visibility_m": visibility, "calibration": calibration, "spray": spray and wet_road}, RainSettings
+    )
+    load_calibration(calibration)  # before anything is simulated
     check_within("--seeds", seeds, 1, 1000)
     check_within("--sweeps", sweeps, 1, 1000)
     check_within("--reflectance", reflectance, 0, 1, is_open=True)
@@ -98,9 +104,7 @@ def lidar(
     strongest: RainRun | None = None
     with progress_bar("Raining", count * len(intensities) * seeds) as advance:
         for turn in turns:
-            for run in lidar_runs(
-                turn, intensities, range(seeds), answer=answer, wet_road=wet_road, visibility_m=visibility, spray=spray
-            ):
+            for run in lidar_runs(turn, settings, intensities, range(seeds), answer=answer, wet_road=wet_road):
                 intensity = run.counts.state.intensity_mm_h
                 if write_sweeps:
                     name = f"{file_word(run.turn.name)}_rain{intensity:g}_seed{run.counts.seed}.npz"
@@ -121,7 +125,9 @@ def lidar(
         "answer": answer,
         "wet_road": wet_road,
         "visibility_m": visibility,
+        "calibration": calibration,
         "spray": spray,
+        "extinction": extinction_note(msgspec.structs.replace(settings, intensity_mm_h=each) for each in intensities),
         **run_provenance(inputs, ("numba",)),
         "sensor": msgspec.to_builtins(strongest.turn.sensor),
         "rows": [_row(run) for runs in by_intensity.values() for run in runs],
@@ -130,6 +136,7 @@ def lidar(
     write_numbers(output / "lidar.json", report)
     write_lidar_page(output / "report.html", output / "lidar.png", by_intensity, report)
     print_lidar(by_intensity, strongest.turn.sensor, table_stream(json))
+    print(report["extinction"], file=table_stream(json))
     what = "lidar.png, lidar.csv, lidar.json, report.html" + (", sweeps/" if write_sweeps else "")
     print(f"wrote {output}: {what}", file=table_stream(json))
     write_numbers(json, report)
@@ -183,6 +190,7 @@ def _row(run: RainRunCounts) -> dict[str, Any]:
         "seed": run.seed,
         "turn": run.turn,
         "extinction_per_m": run.state.extinction_per_m,
+        "marshall_palmer_extinction_per_m": run.state.marshall_palmer_extinction_per_m,
         "wetness": run.wetness,
         "range_10_m": run.range_m,
         **{name: int(getattr(tally, name).sum()) for name in _COUNTED},

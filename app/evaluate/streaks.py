@@ -39,7 +39,7 @@ RenderedOptions = options_of(
     RainSettings,
     "evaluate streaks",
     defaults={"intensity_mm_h": "that of each sequence", "sensor": "rainsense"}
-    | dict.fromkeys(_AIR, "that of --conditions"),
+    | dict.fromkeys((*_AIR, "calibration"), "that of --conditions"),
 )
 _MIN_FRAMES, _MAX_FRAMES = 5, 200
 _log = logging.getLogger(__name__)
@@ -86,7 +86,7 @@ def streaks(
     if fit_sensor is not None:
         _fit(sequences, load_sensor(plain.sensor or DEFAULT_SENSOR), frames, part, fit_sensor)
         return
-    knobs = {name: getattr(plain, name) for name in ("rain_light", "streak_gain", "sensor", "aperture_mm", "seed")}
+    knobs = {name: getattr(plain, name) for name in ("model", "streak_gain", "sensor", "aperture_mm", "seed")}
     rows: list[RealRainComparison] = []
     places: list[RainyPlace] = []
     with progress_bar("Measuring", len(sequences)) as advance:

@@ -11,6 +11,7 @@ from jaxtyping import Float32, UInt8
 from msgspec import Meta, Struct, structs
 
 from ..scene.camera import Camera
+from ..settings import Settings
 
 Image = Float32[np.ndarray, "h w 3"]
 Plane = Float32[np.ndarray, "h w"]
@@ -192,7 +193,7 @@ _Tile = Annotated[
 ]  # fmt: skip
 
 
-class TransferSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class TransferSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """User settings of a transfer; each method uses only its own fields."""
 
     # fmt: off

@@ -7,21 +7,27 @@ from jaxtyping import UInt8
 
 from ..datasets.capture import Capture, CaptureFrame
 from ..datasets.depth_maps import completed_depths, measured_depths
+from ..datasets.io.images import opened_image
 from ..datasets.sky_masks import certain_sky, sky_masks
 from ..datasets.undistort import undistort_frame
 from ..rain.frame import SkyLight
-from ..rain.simulation import RainSimulation, mean_linear_color
+from ..rain.simulation import RainSimulation
 from ..render.frame_input import CameraMemory, FrameInput, Mount
+from ..render.images import jpeg_file
 from ..render.passes.glass import ego_motion
 from ..render.photograph import Distances, Photograph
 from ..render.view import RenderView, ego_view
 from ..scene.camera import Camera
+from ..scene.geometry import linear_to_srgb, srgb_to_linear
 from ..scene.scene import Scene
 
 Colors = UInt8[np.ndarray, "h w 3"]
 
 CAMERA_HEIGHT_M = 1.5
 """Assumed height of a camera over the road, where nothing is known of either."""
+
+COPY_JPEG_QUALITY = 95
+"""Of the JPEGs of rainy copies."""
 
 _LEVEL = np.array([[0.0, -1, 0, 0], [0, 0, -1, CAMERA_HEIGHT_M], [1, 0, 0, 0], [0, 0, 0, 1]])
 """World-to-camera transform that looks ahead over a road, for images without poses."""
@@ -83,6 +89,15 @@ class CapturePhotos:
         return level_road(replace(small.camera, world_to_camera=pose), small.image)
 
 
+def as_copied(view: CaptureFrame, picture: Colors) -> Colors:
+    """Return the picture of a view as its rainy copy stores it: compressed, if its file is a JPEG."""
+    is_jpeg = view.image_file is not None and view.image_file.suffix.lower() in (".jpg", ".jpeg")
+    if not is_jpeg:
+        return picture
+    with opened_image(jpeg_file(picture, COPY_JPEG_QUALITY), view.name) as stored:
+        return np.asarray(stored.convert("RGB"))
+
+
 def has_distances(capture: Capture) -> bool:
     """Return whether distances of the pictures of a capture are known: its own, lidar or points."""
     measured = bool(capture.sweeps) or capture.points_m is not None or "depth" in capture.has
@@ -109,4 +124,7 @@ def photo_sky(photo: Colors) -> SkyLight:
         upper = photo[: max(len(photo) // 2, 1)].reshape(-1, 3)
         light = upper.astype(np.float64).mean(axis=1)
         found = upper[light >= np.quantile(light, _BRIGHT)]
-    return SkyLight.uniform(mean_linear_color(found.astype(np.float64) / 255))
+    counts = [np.bincount(each, minlength=256) for each in found.T]
+    light = srgb_to_linear(np.arange(256) / 255)
+    red, green, blue = linear_to_srgb(np.array([each @ light for each in counts]) / len(found)).tolist()
+    return SkyLight.uniform((red, green, blue))

@@ -7,7 +7,7 @@ from typing import Annotated, Literal, overload
 
 import numpy as np
 from jaxtyping import Bool, Float, Float64
-from msgspec import Meta, Struct
+from msgspec import Meta
 
 from ..datasets.capture import Capture
 from ..datasets.geometry import scaled_camera
@@ -16,6 +16,7 @@ from ..render.cpu.compositing import color_operator, expected
 from ..scene.camera import Camera, look_at
 from ..scene.objects import is_vehicle
 from ..scene.scene import Actor, DrawItem, Layer, Scene
+from ..settings import Settings
 from .base import ClearView, Image, Plane
 from .normals import normals_from_depth, view_rays
 
@@ -129,7 +130,7 @@ _Width = Annotated[
 ]  # fmt: skip
 
 
-class ViewChoice(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class ViewChoice(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """User settings for the choice of views."""
 
     source: Annotated[

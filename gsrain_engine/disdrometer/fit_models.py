@@ -3,7 +3,6 @@
 from dataclasses import dataclass, fields
 from typing import Annotated, NamedTuple
 
-import msgspec
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 from msgspec import Meta
@@ -19,6 +18,7 @@ from ..rain.calibration import (
     atlas_velocity,
 )
 from ..rain.properties import LARGEST_MM, SMALLEST_MM, DropSizes, flux_mm_h
+from ..settings import Settings
 from .file_summary import RateCheck
 from .spectra import DropSpectra, SingleDrops
 
@@ -407,7 +407,7 @@ def fitted_classes(minutes: Minutes, edges_mm: Float64[np.ndarray, " d_and_one"]
     return slice(int(first[0]), int(last[-1]) + 1)
 
 
-class FitOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class FitOptions(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Settings of a fit from minutes to calibration rows."""
 
     intensities_mm_h: Annotated[

@@ -10,7 +10,6 @@ from itertools import groupby
 from pathlib import Path
 from typing import Annotated, Literal
 
-import msgspec
 import numpy as np
 from jaxtyping import Float64
 from msgspec import Meta
@@ -18,6 +17,7 @@ from msgspec import Meta
 from ..rain.calibration import atlas_velocity
 from ..safe_io.errors import convert_checked
 from ..safe_io.text_files import printable_line, read_whole, yaml_values
+from ..settings import Settings
 from .instruments import (
     JOSS_WALDVOGEL,
     JOSS_WALDVOGEL_AREA_M2,
@@ -161,14 +161,14 @@ Column = Annotated[str, Meta(min_length=1)] | Annotated[int, Meta(ge=1, le=100_0
 _Edges = Annotated[tuple[Annotated[float, Meta(ge=0)], ...], Meta(min_length=4, max_length=1025)]
 
 
-class ColumnRange(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class ColumnRange(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Adjacent columns, both ends included."""
 
     first: Column
     last: Column
 
 
-class TableColumns(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class TableColumns(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Columns of a table of disdrometer records, as described in a YAML file."""
 
     instrument: Annotated[str, Meta(min_length=1, max_length=60)]
@@ -211,6 +211,7 @@ class TableColumns(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     """Measuring area."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         known = (*_WITH_SPEED, *_WITHOUT_SPEED)
         if self.diameter_edges_mm is None and self.instrument not in known:
             raise ValueError(

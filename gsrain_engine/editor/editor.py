@@ -238,8 +238,7 @@ class Editor:
         can = self.viewport.backend == "cpu" and options.look == "splats" and not options.follow_path
         for pane in self.split_panes:
             rainfall = pane.rainfall
-            can = can and rainfall.rain.rain_light == "linear" and not rainfall.weather.keys
-            can = can and not rainfall.lamps_of(pane.scene, time_s)
+            can = can and not (rainfall.rain.is_paper or rainfall.weather.keys or rainfall.lamps_of(pane.scene, time_s))
         return can
 
     @property

@@ -3,17 +3,18 @@
 from pathlib import Path
 from typing import Annotated, Any
 
-from msgspec import Meta, Struct
+from msgspec import Meta
 
 from ..appearance.finetune.settings import FinetuneTask, code_of, load_finetuning
 from ..safe_io.text_files import printable_line
+from ..settings import Settings
 from ..trusted_code import UntrustedCodeError, trust_permanently
 from .jobs.job import Job, JobRunner
 from .jobs.training import HOW_TO_GET_DIFFUSION, finetune_job, has_torch
 from .status import Answer, Question, StatusBus
 
 
-class FinetuneChoice(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class FinetuneChoice(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The user's choices; everything else comes from the settings file."""
 
     config: Annotated[str, Meta(title="Settings", description="Shipped settings, or a YAML file of the same form.")] = (

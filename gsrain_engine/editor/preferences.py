@@ -12,6 +12,7 @@ from msgspec import Meta
 from ..safe_io.errors import convert_checked
 from ..safe_io.text_files import read_whole, yaml_values
 from ..scene.files import lock_path, whole_file
+from ..settings import Settings
 from .status import Answer, Question, StatusBus, describe_error
 
 
@@ -70,7 +71,7 @@ def config_folder() -> Path:
 # Preferences file, shared by all windows
 
 
-class Preferences(msgspec.Struct, frozen=True, kw_only=True):
+class Preferences(Settings, frozen=True, kw_only=True):
     """Settings of the program. Unknown fields of other versions are ignored."""
 
     theme: Annotated[Literal["dark", "light"], Meta(title="Theme", description="Colors of panels and menus.")] = "dark"
@@ -104,7 +105,7 @@ class Preferences(msgspec.Struct, frozen=True, kw_only=True):
     front_panels: tuple[str, ...] = ()
     """Panels that were in front when the last window was closed; empty for the first ones of each side."""
     hidden_panels: tuple[str, ...] = ()
-    recording: dict[str, Any] = {}
+    recording: dict[str, Any] = msgspec.field(default_factory=dict)
     """Settings of the Record panel that are not the default, by field of `ExportSettings`."""
     records_range: bool = True
     """True if the Record panel records the timeline's range."""

@@ -52,11 +52,11 @@ def rain_over(
 
     `drop_levels` is a drop's display level (0-255), the same or one for each pixel. With W the rain's share of a pixel,
     B the background and S the drop's light: enc((1 - W) dec(B) + W S) - B, with the tone curve of the sensor; or a mix
-    of display values, as set in the rain.
+    of display values, as in the paper.
     """
     curve = "srgb" if sensor is None else sensor.tone_curve
     levels, drop = np.linspace(0, 1, 1 << 12), np.atleast_1d(np.asarray(drop_levels, np.float64)) / 255
-    if rain.rain_light == "linear":
+    if not rain.is_paper:
         behind = light_of_display(levels, curve).astype(np.float32)
         light = light_of_display(drop, curve).astype(np.float32)
         shown = (255 * tone_curve(np.linspace(0, 1, 1 << 15), curve)).astype(np.float32)
@@ -95,7 +95,7 @@ def noise_of(rain: RainSettings) -> np.random.Generator:
     return np.random.default_rng(rain.seed)
 
 
-class Photograph(NamedTuple):
+class StoredPhoto(NamedTuple):
     """Picture as a camera stores it, in color and as luma."""
 
     color: UInt8[np.ndarray, "h w 3"]
@@ -109,7 +109,7 @@ def photographed(
     sensor: Sensor | None,
     random: np.random.Generator | None = None,
     chroma_noise: float | Float32[np.ndarray, "h w 1"] = 1.0,
-) -> Photograph:
+) -> StoredPhoto:
     """Add rain and noise to a photographed background (display color, gray levels) as a camera stores them.
 
     The background has been through the camera once; rain and noise, of a standard deviation of `noise_levels` in each
@@ -127,7 +127,7 @@ def photographed(
     else:
         color = to_levels(processed(signal, noise_levels, sensor, background))
     if sensor is None or sensor.jpeg_quality is None:
-        return Photograph(color, cv2.cvtColor(color, cv2.COLOR_RGB2GRAY))
+        return StoredPhoto(color, cv2.cvtColor(color, cv2.COLOR_RGB2GRAY))
     file = jpeg_of(color, sensor.jpeg_quality)
     stored, luma = (np.asarray(cv2.imdecode(file, mode)) for mode in (cv2.IMREAD_COLOR, cv2.IMREAD_GRAYSCALE))
-    return Photograph(np.ascontiguousarray(stored[..., ::-1]), luma)
+    return StoredPhoto(np.ascontiguousarray(stored[..., ::-1]), luma)

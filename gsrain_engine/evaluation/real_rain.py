@@ -17,8 +17,9 @@ from ..rain.simulation import RainSimulation
 from ..render.camera_response import display_noise, light_of_display, tone_curve
 from ..scene.camera import Camera
 from ..scene.sensor import load_sensor
+from ..settings import Settings
 from .drop_light import light_before
-from .photograph import Photograph, Window, cropped_camera, noise_of, photographed, rain_over, rain_shares
+from .photograph import StoredPhoto, Window, cropped_camera, noise_of, photographed, rain_over, rain_shares
 from .rain_free import below_black
 from .streaks import (
     BANDS,
@@ -36,15 +37,15 @@ from .streaks import (
 # YAML files; docs/real_rain_method.md says how those of RainSense were estimated.
 
 
-class SequenceConditions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class SequenceConditions(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Air and camera of one real sequence, as far as they differ from the defaults. The camera looks along +x, east."""
 
     # fmt: off
     intensity_mm_h: Annotated[float, Meta(
         ge=0, le=500, title="Intensity", extra={"unit": "mm/h"},
         description="Labeled intensity of the sequence that is meant.")]
-    shutter_s: Annotated[float | None, Meta(
-        title="Shutter", extra={"unit": "s", "none": "the sensor's", "ge": 1e-5, "le": 1.0},
+    shutter_s: Annotated[Annotated[float, Meta(ge=1e-5, le=1)] | None, Meta(
+        title="Shutter", extra={"unit": "s", "none": "the sensor's"},
         description="Exposure time, estimated from the length of streaks.")] = None
     wind_speed_m_s: Annotated[float, Meta(
         ge=0, le=60, title="Wind speed", extra={"unit": "m/s"}, description="Mean wind at 10 m.")] = 2.0
@@ -55,25 +56,17 @@ class SequenceConditions(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
         ge=0, le=20, title="Gusts", extra={"unit": "m/s"}, description="As of the rain.")] = 0.4
     turbulence_m_s: Annotated[float, Meta(
         ge=0, le=5, title="Turbulence", extra={"unit": "m/s"}, description="As of the rain.")] = 0.6
-    rate_mm_h: Annotated[float | None, Meta(
-        title="Rate", extra={"unit": "mm/h", "none": "the labeled intensity", "ge": 0.0, "le": 500.0},
+    rate_mm_h: Annotated[Annotated[float, Meta(ge=0, le=500)] | None, Meta(
+        title="Rate", extra={"unit": "mm/h", "none": "the labeled intensity"},
         description="Estimated rate in front of the camera during these seconds.")] = None
     calibration: Annotated[str, Meta(
         title="Calibration", description="Drop numbers and sizes, as of the rain.")] = "published"
     max_copies: Annotated[int, Meta(
         ge=1, le=16, title="Gaussians a streak", description="As of the rain.")] = 4
-    middle_frame: Annotated[int | None, Meta(
-        title="Middle frame", extra={"none": "middle of the sequence", "ge": 0},
+    middle_frame: Annotated[Annotated[int, Meta(ge=0)] | None, Meta(
+        title="Middle frame", extra={"none": "middle of the sequence"},
         description="Number of the frame around which frames are chosen.")] = None
     # fmt: on
-
-    def __post_init__(self) -> None:
-        if self.shutter_s is not None and not 1e-5 <= self.shutter_s <= 1:
-            raise ValueError(f"shutter_s must be within 0.00001..1 s, got {self.shutter_s}")
-        if self.rate_mm_h is not None and not 0 <= self.rate_mm_h <= 500:
-            raise ValueError(f"rate_mm_h must be within 0..500, got {self.rate_mm_h}")
-        if self.middle_frame is not None and self.middle_frame < 0:
-            raise ValueError(f"middle_frame must be 0 or more, got {self.middle_frame}")
 
     def rain(self, sensor: str) -> RainSettings:
         """Rain of that rate in that air, in front of a sensor."""
@@ -86,7 +79,7 @@ class SequenceConditions(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
         )  # fmt: skip
 
 
-class RealRainConditions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class RealRainConditions(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Differences between the days of a data set, as far as they are known or estimated."""
 
     sequences: Annotated[tuple[SequenceConditions, ...], Meta(
@@ -130,7 +123,7 @@ def simulated_frames(
     rainfall: RainSimulation,
     drop_levels: Float64[np.ndarray, "3"],
     native_height: int,
-) -> list[Photograph]:
+) -> list[StoredPhoto]:
     """Render rain over the background of real frames, with their slow changes of light and as much noise as they have.
 
     `shares` are those of `rain_shares`, `colors` the real frames (RGB), whose median is the background. The sensor's
@@ -145,7 +138,7 @@ def simulated_frames(
     backgrounds = [np.where(black, below, each) for each in lit]
     plain = plain_noise(real, rainfall, native_height)
 
-    def frames() -> list[Photograph]:
+    def frames() -> list[StoredPhoto]:
         random, noise, factor = noise_of(rain), plain * gain, chroma[..., None]
         return [photographed(*each, noise, sensor, random, factor) for each in zip(backgrounds, rises, strict=True)]
 

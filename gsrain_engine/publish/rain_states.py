@@ -26,8 +26,7 @@ OPENING_MM_H = 8.5
 AROUND_PATH_M, _MOST_ROOFS_M = 60.0, 300.0  # of the roofs on a page; farther ones shelter nothing there
 
 _UNLIKE_A_PAGE = (
-    ("rain_light", "linear", "--blend-space linear"), ("far_drops", "haze", "far drops as haze"),
-    ("streak_reset", "lattice", "drops that wrap around"), ("streak_frame", "camera", "streaks seen from the camera"),
+    ("model", "physical", "the physical model"),
     ("haze", "medium", "--haze medium"), ("haze_region", None, "no haze region"), ("visibility_m", None, "no fog"),
     ("aperture_mm", None, "the sensor's aperture"), ("focus_distance_m", None, "the sensor's focus"),
 )  # fmt: skip

@@ -12,6 +12,7 @@ from msgspec import Meta
 
 from ..presets import load_config, shipped_config_names
 from ..scene.files import whole_file
+from ..settings import Settings
 
 _FOLDER = "calibrations"
 Positive = Annotated[float, Meta(gt=0)]
@@ -26,7 +27,7 @@ class RowConfidence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     scale_mm: Interval
 
 
-class CalibrationRow(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+class CalibrationRow(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """Drops at one intensity: number density and gamma distribution of diameters (paper, table III, eq. 8)."""
 
     intensity_mm_h: Positive
@@ -38,7 +39,7 @@ class CalibrationRow(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     confidence: RowConfidence | None = None
 
 
-class VelocityFit(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+class VelocityFit(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """Fall speed in m/s as a quadratic of the diameter in mm, highest power first (paper, eq. 9)."""
 
     coefficients: tuple[float, float, float]

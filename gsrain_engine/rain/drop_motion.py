@@ -94,7 +94,7 @@ class KeyframedDropMotion:
     @classmethod
     def of(cls, rain: RainSettings, weather: RainKeyframes, calibration: Calibration) -> "KeyframedDropMotion":
         """Precompute the motion of a rain and its keyframes."""
-        curves, paper = weather.curves, rain.streak_reset == "paper"  # the paper's drops fall straight down
+        curves, paper = weather.curves, rain.is_paper  # the paper's drops fall straight down
         intensity = curves.get("intensity_mm_h") or _still(rain.intensity_mm_h)
         wind = curves.get("wind_m_s") or _still(*rain.wind_vector_m_s)
         table = DropClassTable.between(float(intensity.values.min()), float(intensity.values.max()), rain, calibration)

@@ -152,7 +152,7 @@ class RainFrame:
     @property
     def is_linear(self) -> bool:
         """True if drops are blended in linear light, false if as display colors (the paper's form)."""
-        return self.rain.rain_light == "linear"
+        return not self.rain.is_paper
 
     @property
     def airlight_linear(self) -> Float32[np.ndarray, "3"]:

@@ -53,11 +53,11 @@ def make_haze(
     """Place the haze Gaussians at a time; `count` is M, the number within the haze region at full opacity.
 
     They are isotropic, in the world, and have one display color. Each of the M is split into several fainter ones at
-    independent positions that share its opacity, unless the settings fix the number or use the paper's reset. Those
+    independent positions that share its opacity, unless the settings fix the number or are the paper's. Those
     with a center under one of the `roofs` are left out.
     """
     shares = 1.0
-    if rain.haze_reset == "paper":
+    if rain.is_paper:
         positions, fade = _jumping(rain, count, time_s, anchor_to_world)
     else:
         if rain.haze_count is None:  # noise falls with the square root of their number

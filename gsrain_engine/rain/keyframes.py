@@ -22,7 +22,8 @@ from ..safe_io.text_files import read_whole, yaml_values
 from ..scene.easing import KeyEasing, eased_share
 from ..scene.files import whole_file
 from ..scene.scene import Scene
-from .settings import HEAVIEST_MM_H, MAX_LAMP_GAIN, RainSettings
+from ..settings import Settings
+from .settings import HEAVIEST_MM_H, MAX_LAMP_GAIN, ExposureSeconds, RainSettings, Share, WindComponent
 
 Keyed = Literal["intensity_mm_h", "wind_m_s", "exposure_s", "wetness", "lamp_gain"]
 KEYED: tuple[Keyed, ...] = get_args(Keyed)  # fields of the rain that can have keyframes
@@ -33,32 +34,21 @@ _HOLD_STEP_S = 1e-6  # duration of the step at the end of a held value
 _TIME = attrgetter("time_s")
 
 
-class RainKeyframe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+class RainKeyframe(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """Values at one time. None leaves a field to its other keyframes."""
 
-    time_s: Annotated[float, Meta(title="Time", description="In the scene's time.", extra={"unit": "s"})]
-    intensity_mm_h: float | None = None
-    wind_m_s: tuple[float, float] | None = None
-    exposure_s: float | None = None
-    wetness: float | None = None
-    lamp_gain: float | None = None
-    easing: dict[Keyed, KeyEasing] = {}
+    # fmt: off
+    time_s: Annotated[float, Meta(
+        ge=-LONGEST_S, le=LONGEST_S, title="Time", extra={"unit": "s"}, description="In the scene's time.")]
+    intensity_mm_h: Annotated[
+        Annotated[float, Meta(ge=0, le=HEAVIEST_MM_H)] | None, Meta(extra={"unit": "mm/h"})] = None
+    wind_m_s: Annotated[tuple[WindComponent, WindComponent] | None, Meta(extra={"unit": "m/s"})] = None
+    exposure_s: Annotated[ExposureSeconds | None, Meta(extra={"unit": "s"})] = None
+    wetness: Share | None = None
+    lamp_gain: Annotated[float, Meta(ge=0, le=MAX_LAMP_GAIN)] | None = None
+    # fmt: on
+    easing: dict[Keyed, KeyEasing] = msgspec.field(default_factory=dict)
     """Easing of a field from here to its next keyframe; others follow `RainKeyframes.between`."""
-
-    def __post_init__(self) -> None:
-        intensity, wind, exposure = self.intensity_mm_h, self.wind_m_s, self.exposure_s
-        if not -LONGEST_S <= self.time_s <= LONGEST_S:
-            raise ValueError(f"time_s must be within -1e7..1e7 s, got {self.time_s}")
-        if intensity is not None and not 0 <= intensity <= HEAVIEST_MM_H:
-            raise ValueError(f"intensity_mm_h must be within 0..149 mm/h, got {intensity}")
-        if wind is not None and not (-40 <= wind[0] <= 40 and -40 <= wind[1] <= 40):
-            raise ValueError(f"wind_m_s must be within -40..40 m/s on each axis, got {wind}")
-        if exposure is not None and not 1e-5 <= exposure <= 1:
-            raise ValueError(f"exposure_s must be within 0.00001..1 s, got {exposure}")
-        if self.wetness is not None and not 0 <= self.wetness <= 1:
-            raise ValueError(f"wetness must be within 0..1, got {self.wetness}")
-        if self.lamp_gain is not None and not 0 <= self.lamp_gain <= MAX_LAMP_GAIN:
-            raise ValueError(f"lamp_gain must be within 0..{MAX_LAMP_GAIN:g}, got {self.lamp_gain}")
 
     def without(self, name: Keyed) -> "RainKeyframe":
         """Return a copy without a field and its easing."""
@@ -316,10 +306,25 @@ Saved = TypeVar("Saved", RainSettings, RainKeyframes)
 
 def rain_of(scene: Scene) -> RainSettings | None:
     """Return the rain saved with a scene; None if absent, or invalid, which is logged."""
-    values = scene.rain
-    if values is not None and isinstance(values.get("haze"), bool):  # as in older scene.json files
-        values = {**values, "haze": "medium" if values["haze"] else "none"}
-    return _read(scene, "rain", values, RainSettings)
+    return _read(scene, "rain", saved_rain(scene), RainSettings)
+
+
+def saved_rain(scene: Scene) -> dict[str, Any] | None:
+    """Return the values of the rain saved with a scene; those of older scene.json files by their present names."""
+    if scene.rain is None:
+        return None
+    values = {name: value for name, value in scene.rain.items() if name not in _SWITCHES}
+    if isinstance(values.get("haze"), bool):
+        values["haze"] = "medium" if values["haze"] else "none"
+    is_paper = any(scene.rain.get(name, value) != value for name, value in _SWITCHES.items())
+    return values | {"model": "paper"} if is_paper else values
+
+
+_SWITCHES = {
+    "streak_frame": "camera", "rain_light": "linear", "far_drops": "haze", "streak_reset": "lattice",
+    "haze_reset": "fade",
+}  # fmt: skip
+"""Settings of older files that are parts of `model` today, with their values in the physical one."""
 
 
 def keyframes_of(scene: Scene) -> RainKeyframes | None:

@@ -1,6 +1,6 @@
 """Physical properties of rain: drop numbers, sizes, fall speeds and extinction from the intensity."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache
 from itertools import pairwise
@@ -12,7 +12,7 @@ import scipy  # loads its submodules lazily: at the calibration's rows none is n
 from jaxtyping import Float, Float64
 from scipy import special
 
-from .calibration import Calibration, atlas_velocity
+from .calibration import Calibration, atlas_velocity, load_calibration
 from .fog import fog_extinction_per_m
 from .haze import extinction_per_m, haze_count
 from .settings import CALIBRATED_UP_TO_MM_H, HEAVIEST_MM_H, RainSettings
@@ -119,6 +119,17 @@ class RainProperties:
         return self.intensity_mm_h > self.calibrated_up_to_mm_h
 
     @property
+    def marshall_palmer_extinction_per_m(self) -> float:
+        """Beta of as much rain with the drops of Marshall and Palmer, a reference for any calibration."""
+        return _marshall_palmer_extinction_per_m(self.intensity_mm_h)
+
+    @property
+    def extinction_text(self) -> str:
+        """Beta of the drops, also as a multiple of Marshall and Palmer's; there must be rain."""
+        per_m = self.extinction_per_m - self.fog_extinction_per_m
+        return f"{1000 * per_m:.3g} /km ({per_m / self.marshall_palmer_extinction_per_m:.2g} times Marshall-Palmer's)"
+
+    @property
     def is_clear(self) -> bool:
         """True without rain and fog."""
         return self.intensity_mm_h == 0 and self.extinction_per_m == 0
@@ -205,6 +216,20 @@ def rain_properties(rain: RainSettings, calibration: Calibration) -> RainPropert
         drops=round(density * rain.streak_region.volume_m3),
         haze_gaussians=haze_count(rain, of_drops),
     )
+
+
+@lru_cache(maxsize=256)
+def _marshall_palmer_extinction_per_m(intensity_mm_h: float) -> float:
+    calibration = load_calibration("marshall_palmer")
+    return rain_properties(RainSettings(intensity_mm_h=intensity_mm_h), calibration).extinction_per_m
+
+
+def extinction_note(rains: Iterable[RainSettings]) -> str:
+    """Return the extinction of several rains beside Marshall and Palmer's as a sentence; "" without rain."""
+    falling = {each.intensity_mm_h: each for each in rains if each.intensity_mm_h > 0}
+    states = [rain_properties(falling[rate], load_calibration(falling[rate].calibration)) for rate in sorted(falling)]
+    parts = ", ".join(f"{each.extinction_text} at {each.intensity_mm_h:g} mm/h" for each in states)
+    return f"Extinction of the rain: {parts}." if parts else ""
 
 
 def intensity_for_density(density_m3: float, rain: RainSettings, calibration: Calibration) -> float:

@@ -9,9 +9,13 @@ from msgspec import Meta
 from ..presets import load_config
 from ..scene.lamp_choice import LAMP_WORDS
 from ..scene.sensor import sensor_names
+from ..settings import Settings
 from .calibration import calibration_names
 
 Vector = tuple[float, float, float]
+ExposureSeconds = Annotated[float, Meta(ge=1e-5, le=1)]
+WindComponent = Annotated[float, Meta(ge=-40, le=40)]
+Share = Annotated[float, Meta(ge=0, le=1)]
 CALIBRATED_UP_TO_MM_H = 13.0
 """Upper end of the published calibration; higher intensities are marked as extrapolated in window and reports."""
 
@@ -51,7 +55,7 @@ STREAK_REGION = RegionBox(minimum_m=(-1.0, -3.0, -1.5), maximum_m=(5.0, 3.0, 4.5
 HAZE_REGION = RegionBox(minimum_m=(-10.0, -10.0, -1.5), maximum_m=(60.0, 10.0, 20.5))
 
 
-class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, repr_omit_defaults=True):
+class RainSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True, repr_omit_defaults=True):
     """Rain parameters. The defaults are physical; docs/physics.md gives the reason for each."""
 
     # fmt: off
@@ -59,9 +63,9 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         ge=0, le=HEAVIEST_MM_H, title="Intensity", extra={
             "unit": "mm/h", "option": "rain intensity", "commands": "render, disdrometer, evaluate streaks"},
         description="Rainfall intensity R. Calibrated up to 13 mm/h.")] = 0.0
-    exposure_s: Annotated[float | None, Meta(
+    exposure_s: Annotated[ExposureSeconds | None, Meta(
         title="Exposure", extra={
-            "unit": "s", "ge": 1e-5, "le": 1.0, "commands": "render, drive, evaluate detection"},
+            "unit": "s", "commands": "render, drive, evaluate detection"},
         description="Exposure time T, in which drops make streaks; without one, the sensor's, or the camera's own "
         "(4 ms by day).")] = None
     seed: Annotated[int, Meta(
@@ -75,9 +79,9 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         title="Haze model", extra={"commands": "render", "negative": "none"},
         description="Far drops. medium: extinction and airlight along each ray. "
         "gaussians: the paper's. none: not drawn.")] = "medium"
-    visibility_m: Annotated[float | None, Meta(
+    visibility_m: Annotated[Annotated[float, Meta(ge=10, le=100_000)] | None, Meta(
         title="Fog visibility", extra={
-            "unit": "m", "ge": 10.0, "le": 100_000.0, "scale": "log", "none": "no fog", "usual": 500.0,
+            "unit": "m", "scale": "log", "none": "no fog", "usual": 500.0,
             "commands": "render, drive, evaluate detection"},
         description="Adds fog without drops, at any intensity: distance at which it leaves 5 % of a contrast "
         "(Koschmieder).")] = None
@@ -101,8 +105,8 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
             "unit": "deg", "option": "wind-from", "group": "Wind and seed",
             "commands": "render, disdrometer, drive, evaluate streaks"},
         description="Direction the wind blows from: 0 north (world y), 90 east (world x).")] = 240.0
-    wind_m_s: Annotated[tuple[float, float] | None, Meta(
-        title="Wind", extra={"unit": "m/s", "ge": -40.0, "le": 40.0, "group": "Wind and seed"},
+    wind_m_s: Annotated[tuple[WindComponent, WindComponent] | None, Meta(
+        title="Wind", extra={"unit": "m/s", "group": "Wind and seed"},
         description="Horizontal wind at 10 m along world x and y; sets speed and direction.")] = None
     gust_m_s: Annotated[float, Meta(
         ge=0, le=20, title="Gusts", extra={
@@ -117,7 +121,8 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         description="Of the wind's logarithmic profile (z_0): 0.03 grass, 0.3 suburbs, 1 towns.")] = 0.3
 
     calibration: Annotated[str, Meta(
-        title="Calibration", extra={"commands": "render, disdrometer"},
+        title="Calibration", extra={
+            "commands": "render, disdrometer, drive, evaluate detection, evaluate streaks, evaluate lidar"},
         description="Name of a shipped calibration, or a calibration file.")] = "published"
     closure: Annotated[Literal["density", "published"], Meta(
         title="Number of drops from", extra={
@@ -135,21 +140,10 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         title="Fall speed", extra={"group": "Physics"},
         description="Fall speed by diameter: the calibration's fit, or Atlas et al. (1973).")] = "calibration"
 
-    streak_frame: Annotated[Literal["camera", "world"], Meta(
-        title="Streak frame", extra={"group": "Physics"},
-        description="camera: streaks follow the drop's motion seen from the moving camera.")] = "camera"
-    rain_light: Annotated[Literal["linear", "display"], Meta(
-        title="Drop blending", extra={"option": "blend-space", "commands": "evaluate streaks", "group": "Physics"},
-        description="linear: a drop's light adds in linear space. display: the paper's mixing.")] = "linear"
-    far_drops: Annotated[Literal["haze", "published"], Meta(
-        title="Far drops", extra={"group": "Physics"},
-        description="haze: far drops are haze only. published: drawn with the haze opacity.")] = "haze"
-    streak_reset: Annotated[Literal["lattice", "paper"], Meta(
-        title="Drop re-entry", extra={"group": "Physics"},
-        description="lattice: uniform density. paper: drops re-enter at the top only.")] = "lattice"
-    haze_reset: Annotated[Literal["fade", "paper"], Meta(
-        title="Haze update", extra={"group": "Physics"},
-        description="fade: come and go slowly. paper: jump each frame.")] = "fade"
+    model: Annotated[Literal["physical", "paper"], Meta(
+        title="Model", extra={"commands": "evaluate streaks", "group": "Physics"},
+        description="paper: the paper's own form where it differs: streaks as of a still camera; drops are mixed as "
+        "display values, fall straight and re-enter at the top; haze Gaussians jump each frame.")] = "physical"
 
     critical_haze_coefficient: Annotated[float, Meta(
         ge=0.1, le=50, title="Streak-to-haze factor", extra={"group": "Appearance", "scale": "log"},
@@ -164,8 +158,8 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     haze_sigma_m: Annotated[float, Meta(
         ge=0.05, le=5, title="Haze size", extra={"unit": "m", "group": "Appearance", "scale": "log"},
         description="Standard deviation of a haze Gaussian, the paper's s_h.")] = 0.5
-    haze_count: Annotated[int | None, Meta(
-        title="Haze Gaussians", extra={"ge": 0, "le": 200_000},
+    haze_count: Annotated[Annotated[int, Meta(ge=0, le=200_000)] | None, Meta(
+        title="Haze Gaussians",
         description="M: none takes as many as the extinction needs, and splits them up to be smooth.")] = None
     haze_gain: Annotated[float, Meta(
         ge=0, le=50, title="Haze gain",
@@ -180,13 +174,13 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         extra={"group": "Camera", "commands": "render, drive, evaluate detection, evaluate streaks"},
         description="Sensor and lens: automotive, pinhole, rainsense, waymo_front, or a sensor file; also sets "
         "exposure, noise, tone curve and JPEG. Without one, drops get the lens and readout of automotive.")] = None
-    aperture_mm: Annotated[float | None, Meta(
+    aperture_mm: Annotated[Annotated[float, Meta(ge=0, le=50)] | None, Meta(
         title="Aperture",
-        extra={"unit": "mm", "ge": 0.0, "le": 50.0, "group": "Camera", "slider_to": 10.0, "none": "the sensor's",
+        extra={"unit": "mm", "group": "Camera", "slider_to": 10.0, "none": "the sensor's",
                "usual": 4.0, "commands": "evaluate streaks"},
         description="Diameter of the lens opening in place of the sensor's; 0 is a pinhole: all sharp.")] = None
-    focus_distance_m: Annotated[float | None, Meta(
-        title="Focus distance", extra={"unit": "m", "ge": 0.2, "le": 10_000.0, "group": "Camera", "scale": "log",
+    focus_distance_m: Annotated[Annotated[float, Meta(ge=0.2, le=10_000)] | None, Meta(
+        title="Focus distance", extra={"unit": "m", "group": "Camera", "scale": "log",
                                        "none": "the sensor's", "usual": 10.0},
         description="Distance that is sharp in place of the sensor's; 10 m for an aperture of your own.")] = None
     glass: Annotated[Literal["none", "windshield", "lens"], Meta(
@@ -208,12 +202,12 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
             "unit": "deg", "option": "contact-angle", "group": "Glass",
             "commands": "render, drive, evaluate detection"},
         description="Angle between drops and glass at the rim: 30 on clean glass, 90 with water repellent.")] = 50.0
-    glass_distance_m: Annotated[float | None, Meta(
+    glass_distance_m: Annotated[Annotated[float, Meta(ge=0.005, le=2)] | None, Meta(
         title="Glass distance", extra={
-            "unit": "m", "ge": 0.005, "le": 2.0, "group": "Glass", "scale": "log", "none": "by the kind of glass",
+            "unit": "m", "group": "Glass", "scale": "log", "none": "by the kind of glass",
             "usual": 0.12, "commands": "render, drive, evaluate detection"},
         description="From the lens along its axis; without one, 0.12 m for a windshield and 0.02 m for a lens.")] = None
-    drop_color: Annotated[Vector | None, Meta(
+    drop_color: Annotated[tuple[Share, Share, Share] | None, Meta(
         title="Drop color",
         description="Display color of drops, rain and fog; without one, those of the scene's sky.")] = None
 
@@ -225,8 +219,8 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         ge=0, le=MAX_LAMP_GAIN, title="Lamp brightness",
         extra={"unit": "x", "group": "Lamps", "slider_to": 2.0, "commands": "render"},
         description="Multiplies the light of all lamps; 0 switches them off.")] = 1.0
-    wetness: Annotated[float | None, Meta(
-        title="Wetness", extra={"ge": 0.0, "le": 1.0, "commands": "render"},
+    wetness: Annotated[Share | None, Meta(
+        title="Wetness", extra={"commands": "render"},
         description="Share of soaked colors, 0..1; 0 is as lit; without one, it follows the rain.")] = None
     mirror: Annotated[bool, Meta(
         title="Reflections", extra={"commands": "render, drive, evaluate detection"},
@@ -244,30 +238,17 @@ class RainSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     # fmt: on
 
     def __post_init__(self) -> None:
-        if self.wetness is not None and not 0 <= self.wetness <= 1:
-            raise ValueError(f"wetness must be within 0..1, got {self.wetness}")
-        if self.exposure_s is not None and not 1e-5 <= self.exposure_s <= 1:
-            raise ValueError(f"exposure_s must be within 0.00001..1 s, got {self.exposure_s}")
-        if self.haze_count is not None and not 0 <= self.haze_count <= 200_000:
-            raise ValueError(f"haze_count must be within 0..200000, got {self.haze_count}")
-        if self.visibility_m is not None and not 10 <= self.visibility_m <= 100_000:
-            raise ValueError(f"visibility_m must be within 10..100000 m, got {self.visibility_m}")
-        if self.aperture_mm is not None and not 0 <= self.aperture_mm <= 50:
-            raise ValueError(f"aperture_mm must be within 0..50 mm, got {self.aperture_mm}")
-        if self.focus_distance_m is not None and not 0.2 <= self.focus_distance_m <= 10_000:
-            raise ValueError(f"focus_distance_m must be within 0.2..10000 m, got {self.focus_distance_m}")
-        if self.glass_distance_m is not None and not 0.005 <= self.glass_distance_m <= 2:
-            raise ValueError(f"glass_distance_m must be within 0.005..2 m, got {self.glass_distance_m}")
+        super().__post_init__()
         if self.wind_m_s is not None:
-            if any(not -40 <= component <= 40 for component in self.wind_m_s):
-                raise ValueError(f"wind_m_s must be within -40..40 m/s on each axis, got {self.wind_m_s}")
             speed_m_s, from_deg = wind_on_compass(*self.wind_m_s)
             msgspec.structs.force_setattr(self, "wind_m_s", None)
             msgspec.structs.force_setattr(self, "wind_speed_m_s", speed_m_s)
             if speed_m_s > 0:
                 msgspec.structs.force_setattr(self, "wind_from_deg", from_deg)
-        if self.drop_color is not None and any(not 0 <= channel <= 1 for channel in self.drop_color):
-            raise ValueError(f"drop_color must be within 0..1 a channel, got {self.drop_color}")
+
+    @property
+    def is_paper(self) -> bool:
+        return self.model == "paper"
 
     @property
     def wind_vector_m_s(self) -> tuple[float, float]:

@@ -208,8 +208,7 @@ class RainSimulation:
         rain, motion, camera = now.rain, now.motion, view.camera
         turn, size = view.anchor_to_world[:3, :3], np.array(rain.streak_region.size_m)
         center = turn @ np.array(rain.streak_region.center_m) + view.anchor_to_world[:3, 3]
-        is_paper = rain.streak_reset == "paper"
-        if is_paper:  # the region itself is the cell: drops stay in the ego's frame, fall straight, re-enter at the top
+        if rain.is_paper:  # the region is the cell: drops stay in the ego's frame, fall straight, re-enter at the top
             period, axes = size, turn
         else:  # world axes; a horizontal period of the region's diagonal covers the region at any yaw
             period, axes = np.array([*np.full(2, np.hypot(size[0], size[1])), size[2]]), np.eye(3)
@@ -222,7 +221,7 @@ class RainSimulation:
 
         @cache
         def find_drops() -> tuple[DropPhases, DropCulling]:
-            if is_paper:
+            if rain.is_paper:
                 where = drop_phases(motion.without_drift(), time_s, np.zeros(3), period)
             else:
                 lower_m = float(view.anchor_to_world[2, 3]) + rain.streak_region.minimum_m[2]
@@ -260,10 +259,8 @@ class RainSimulation:
     ) -> DropCulling:
         """Visibility tests of drops in a cell with these axes and center; `turn` is the region's rotation."""
         rain, camera, size = self.rain, shutter.camera, np.array(self.rain.streak_region.size_m)
-        far = np.full(len(self.diameters_mm), 1e6)
-        if rain.far_drops == "haze":
-            far = rain.critical_haze_coefficient * visible_distance_m(self.diameters_mm, shutter.focal_px)
-        eye = shutter.velocity_m_s if rain.streak_frame == "camera" else np.zeros(3)
+        far = rain.critical_haze_coefficient * visible_distance_m(self.diameters_mm, shutter.focal_px)
+        eye = np.zeros(3) if rain.is_paper else shutter.velocity_m_s
         fall = self.motion.fall_speed_m_s
         own = 5 * self.motion.turbulence_m_s  # 3.45 standard deviations on two axes
         level, down = fastest_m_s + own + float(np.hypot(eye[0], eye[1])), fall + eye[2]
@@ -288,7 +285,7 @@ class RainSimulation:
 
 _MOVING = (
     "intensity_mm_h", "wind_speed_m_s", "wind_from_deg", "gust_m_s", "turbulence_m_s", "roughness_m", "seed",
-    "velocity", "calibration", "diameter_scale", "streak_reset",
+    "velocity", "calibration", "diameter_scale", "model",
 )  # fmt: skip
 """Fields of the rain that determine the fall and drift of drops under keyframes."""
 
@@ -299,7 +296,7 @@ def _drops(
     """Properties, diameters (mm), wind and fall speeds (m/s); the paper's drops fall straight down."""
     state = rain_properties(rain, calibration)
     diameters = state.sizes.class_diameters_mm
-    wind = Wind() if rain.streak_reset == "paper" else wind_of(rain)
+    wind = Wind() if rain.is_paper else wind_of(rain)
     return state, diameters, wind, fall_speed(rain, calibration)(diameters)
 
 

@@ -65,7 +65,7 @@ def streak_gaussians(
 ) -> Gaussians:
     """Turn drops into one to n_max Gaussians each along their path through the image; skip those outside the image.
 
-    Opacity: eq. 5 with the speed perpendicular to the line of sight (`world`: V itself, the paper's form), times the
+    Opacity: eq. 5 with the speed perpendicular to the line of sight (the paper's form: V itself), times the
     distance attenuation of eq. 7. Copies: eq. 10-12. With the perpendicular speed, the integral of alpha over the image
     equals the drop's cross-section, pi D^2 / 4 (f / d)^2, at any distance and focus: the circle of confusion adds a
     sixteenth of its squared diameter to the variances, as a disc has.
@@ -79,7 +79,7 @@ def streak_gaussians(
     is_drawn = np.zeros(len(rows), np.bool_)
     left, right, top, bottom = camera_slopes(camera)
     edges = np.array([-left, right, -top, bottom])
-    moving = rain.streak_frame == "camera"
+    moving = not rain.is_paper
     numbers = np.array([
         shutter.exposure_s, shutter.focal_px, rain.critical_haze_coefficient, rain.haze_opacity, rain.streak_gain,
         *shutter.lens, *shutter.readout,

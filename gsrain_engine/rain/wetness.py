@@ -130,15 +130,19 @@ def _log_wetness(intensities_mm_h: Float64[np.ndarray, " n"]) -> Float64[np.ndar
 # Choice of `--wet/--no-wet`, for all commands and the window
 
 
-def with_wet_choice(rain: RainSettings, wet: bool | None) -> RainSettings:
+def with_wet_choice(rain: RainSettings, wet: bool | None, heaviest_mm_h: float | None = None) -> RainSettings:
     """Return the rain with a choice of `--wet/--no-wet`.
 
     None follows the rain, where a scene has wet colors: overcast above 0.3 mm/h. False is as lit at any intensity. True
-    follows the rain even if its preset is as lit.
+    follows the rain even if its preset is as lit, and is soaked where it never rains: `heaviest_mm_h` is that of its
+    keyframes, by default its intensity.
     """
     if wet is False:
         return msgspec.structs.replace(rain, wetness=0.0)
-    return msgspec.structs.replace(rain, wetness=None) if wet and rain.wetness == 0 else rain
+    if not wet or rain.wetness not in (None, 0.0):
+        return rain
+    never_rains = (rain.intensity_mm_h if heaviest_mm_h is None else heaviest_mm_h) == 0
+    return msgspec.structs.replace(rain, wetness=1.0 if never_rains else None)
 
 
 def missing_wet_colors(scene: Scene, rain: RainSettings, heaviest_mm_h: float) -> str | None:

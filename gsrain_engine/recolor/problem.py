@@ -7,9 +7,10 @@ from typing import Annotated
 import msgspec
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int64
-from msgspec import Meta, Struct
+from msgspec import Meta
 
 from ..scene.gaussians import SH_C0
+from ..settings import Settings
 from .solver import TIKHONOV, Basis, ColorTarget, Harmonics, Rows, SolverStep, evaluate_colors, solve_colors
 from .views import NO_CHANGE, ViewAffine, ViewObservation, view_affines
 from .weights import Picture
@@ -51,7 +52,7 @@ class Solution:
 # Settings
 
 
-class RecolorSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class RecolorSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Settings of the color solver."""
 
     iterations: Annotated[int, Meta(

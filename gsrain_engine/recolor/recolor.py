@@ -8,7 +8,7 @@ from typing import Annotated, Any, TypeVar
 import msgspec
 import numpy as np
 from jaxtyping import Float32
-from msgspec import Meta, Struct
+from msgspec import Meta
 
 from ..appearance.base import ClearView, Transfer
 from ..appearance.wet_look.settings import WetSettings
@@ -17,6 +17,7 @@ from ..evaluation.image_metrics import compare_images, psnr
 from ..report.page import ReportCurve, RunReport
 from ..scene.progress import Progress, subprogress
 from ..scene.scene import Scene
+from ..settings import Settings
 from ..training.evaluation import validation_indices
 from .problem import ColorProblem, ProblemView, RecolorSettings, Solution, choose_prior_weight, color_prior_of
 from .result import RecolorMember, scene_members, with_colors
@@ -177,7 +178,7 @@ _READ_DONE = 0.05
 _COMPARED = 6
 
 
-class RecolorOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class RecolorOptions(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Options of a recoloring besides those of the solver."""
 
     # fmt: off

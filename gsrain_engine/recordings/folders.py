@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from ..appearance.capture_photos import COPY_JPEG_QUALITY
 from ..datasets.capture import Capture, CaptureFrame, LidarSource, LidarSweep
 from ..datasets.io.arrays import RowFile
 from ..datasets.kitti import kitti_surroundings
@@ -20,7 +21,6 @@ from ..scene.progress import Progress
 from .lidar import LidarRain
 from .pictures import RainyPictures
 
-_JPEG_QUALITY = 95
 _COPIED_BYTES = 1 << 30
 
 
@@ -104,7 +104,7 @@ def write_rainy_folder(
             if rainy is photo:
                 files.add(file, path)
             else:
-                write_image(path, Image.fromarray(rainy), _JPEG_QUALITY)
+                write_image(path, Image.fromarray(rainy), COPY_JPEG_QUALITY)
                 files.changed += 1
         for number, (rows, sweep) in enumerate(sweeps.items(), len(photos)):
             yield Progress(number / steps, rows.file.name)

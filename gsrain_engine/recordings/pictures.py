@@ -13,6 +13,7 @@ from ..rain.simulation import RainSimulation
 from ..render.draw import draw
 from ..render.frame_input import CameraMemory, FrameInput, Mount
 from ..render.passes.glass import ego_motion
+from ..render.provenance import PictureProvenance, provenance_of
 from ..render.renderer import Renderer
 from ..render.sky_color import sky_color
 from ..render.view import ego_view
@@ -27,6 +28,8 @@ class RainyPictures(Protocol):
 
     written: int
     """Number of pictures so far."""
+    provenance: dict[str, PictureProvenance]
+    """Provenance of each, by the names of their views."""
 
     def rainy(self, view: CaptureFrame, photo: Colors) -> Colors:
         """Return a picture of the size of a view's photograph; the same array without rain."""
@@ -40,12 +43,14 @@ class PhotoRain:
         self._renderer, self._photos, self._rainfall = renderer, CapturePhotos(capture), RainSimulation.start(rain)
         self.written = self.with_distances = 0
         """Numbers of pictures so far, and of those whose distances are measured."""
+        self.provenance: dict[str, PictureProvenance] = {}
 
     def rainy(self, view: CaptureFrame, photo: Colors) -> Colors:
         self.written += 1
         frame = self._photos.frame(view, self._rainfall, photo)
         assert frame.photograph is not None
         self.with_distances += not frame.photograph.distances.are_assumed
+        self.provenance[view.name] = provenance_of(frame)
         return photo if frame.is_unchanged else draw(self._renderer, frame).read_uint8()
 
 
@@ -57,6 +62,7 @@ class ScenePictures:
         self._sky = sky_color(renderer, scene, capture[0].camera.moved(scene.scene_to_world))
         self._memory = CameraMemory()
         self.written = 0
+        self.provenance: dict[str, PictureProvenance] = {}
 
     def rainy(self, view: CaptureFrame, photo: Colors) -> Colors:
         self.written += 1
@@ -65,4 +71,5 @@ class ScenePictures:
         past = ego_motion(self._scene, shot)
         mount = Mount(self._memory, view.sensor, past.motion, past.camera_to_ego)
         frame = FrameInput.of(self._scene, self._rainfall, self._sky, shot, mount=mount)
+        self.provenance[view.name] = provenance_of(frame)
         return draw(self._renderer, frame).read_uint8()

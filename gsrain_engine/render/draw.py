@@ -8,28 +8,28 @@ from .bands import PictureBands
 from .cpu.renderer import CpuRenderer
 from .frame_input import FILTERS, FrameInput
 from .level_of_detail import subset_items
+from .passes import registry
 from .passes.base import FrameParts
 from .passes.mirror import reflecting_items
-from .passes.registry import PASSES
 from .passes.sensor import metered
 from .photograph import without_medium
-from .renderer import Picture, PictureFilter, Renderer, timed
+from .renderer import DrawnPicture, PictureFilter, Renderer, timed
 
 
-def draw(renderer: Renderer, frame: FrameInput) -> Picture:
+def draw(renderer: Renderer, frame: FrameInput) -> DrawnPicture:
     """Draw a picture by a renderer. Read it before the renderer draws the next one.
 
     Raises `ValueError` for glass before
     a camera with a lens, and `MemoryError` if it has no room.
     """
     parts, times_ms = FrameParts(renderer, partial(draw, renderer)), dict[str, float]()
-    for each in PASSES:
+    for each in registry.PASSES:
         if each.name not in frame.without:
             with timed(times_ms, each.name):
                 if each.active(frame):
                     each.add(frame, parts)
     source = _composite(frame, parts)
-    return Picture(renderer, source, tuple(parts.filters), times_ms, parts.compose)
+    return DrawnPicture(renderer, source, tuple(parts.filters), times_ms, parts.compose)
 
 
 def _composite(frame: FrameInput, parts: FrameParts) -> Renderer | PictureBands:
@@ -54,7 +54,7 @@ def _composite(frame: FrameInput, parts: FrameParts) -> Renderer | PictureBands:
 def filters_of(renderer: Renderer, frame: FrameInput) -> tuple[PictureFilter, ...]:
     """Glass and sensor of a picture that is put together from several drawings."""
     parts = FrameParts(renderer, partial(draw, renderer))
-    for each in PASSES:
+    for each in registry.PASSES:
         if each.name in FILTERS and each.name not in frame.without and each.active(frame):
             each.add(frame, parts)
     return tuple(parts.filters)

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
-import msgspec
 from msgspec import Meta
 
 from ..scene.files import shortened
+from ..settings import Settings
 
 Pass = Literal["color", "depth", "alpha", "labels"]
 Codec = Literal["auto", "h264", "vp9", "av1", "png", "jpeg", "exr"]
@@ -34,7 +34,7 @@ _BY_SUFFIX = {suffix: codec for codec, suffixes in _CONTAINERS.items() for suffi
 _BY_SUFFIX[""] = "png"
 
 
-class ExportSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class ExportSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Settings of one export; scene, rain and path belong to the document."""
 
     # fmt: off
@@ -95,6 +95,7 @@ class ExportSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     # fmt: on
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.last_s is not None and not self.first_s < self.last_s <= self.first_s + 36000:
             raise ValueError(
                 f"last_s must be above first_s ({self.first_s:g} s) by at most 36000 s, got {self.last_s:g}"

@@ -1,4 +1,4 @@
-"""Frame input: what one picture holds, decided once for everyone who asks for it."""
+"""Frame input: all that one picture holds, decided once for everyone who asks for it."""
 
 from collections.abc import Hashable, Iterable
 from dataclasses import dataclass, field, replace
@@ -99,7 +99,7 @@ FILTERS = frozenset({"glass", "sensor"})
 
 @dataclass(frozen=True, eq=False)
 class FrameInput:
-    """What one picture holds: a scene or a photograph, rain at a time, view, sky and quality. Made by `of`."""
+    """Input of one picture: a scene or a photograph, rain at a time, view, sky and quality. Made by `of`."""
 
     scene: Scene
     simulation: RainSimulation | None
@@ -114,7 +114,7 @@ class FrameInput:
     """Names of passes that are left out."""
     mount: Mount = field(default_factory=Mount)
     photograph: Photograph | None = None
-    """Picture that takes the place of the scene's Gaussians; `scene` is the world around it."""
+    """Photograph that takes the place of the scene's Gaussians; `scene` is the world around it."""
 
     @classmethod
     def of(

@@ -6,6 +6,7 @@ import struct
 from collections.abc import Callable, Generator, Mapping, Set
 from contextlib import contextmanager, nullcontext
 from functools import cache
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +45,13 @@ def write_image(path: Path, image: Image.Image, jpeg_quality: int | None = None)
     options = {"format": kind} if kind != "JPEG" or jpeg_quality is None else _jpeg_options(jpeg_quality)
     with _new_file(path) as partial:
         image.save(partial, **options)
+
+
+def jpeg_file(pixels: UInt8[np.ndarray, "h w 3"], quality: int) -> bytes:
+    """Return the JPEG file that `write_image` would write of an image."""
+    file = BytesIO()
+    Image.fromarray(pixels).save(file, **_jpeg_options(quality))
+    return file.getvalue()
 
 
 def _jpeg_options(quality: int) -> dict[str, Any]:

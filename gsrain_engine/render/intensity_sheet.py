@@ -12,8 +12,10 @@ from jaxtyping import Bool, UInt8
 from PIL import Image, ImageDraw, ImageFont
 
 from ..rain.simulation import RainSimulation
+from ..rain.wetness import with_wet_choice
 from ..scene.progress import Progress
 from .images import write_image
+from .provenance import PictureProvenance, provenance_of
 from .renderer import Renderer
 from .sequence import FrameSequence, common_sky
 from .sky_color import SkyColor
@@ -41,6 +43,7 @@ class SheetCell:
     streaks_drawn: int
     visible_streaks: int
     """Connected regions that the streaks alone change by more than `VISIBLE_LEVELS`."""
+    provenance: PictureProvenance | None = None
 
     @property
     def numbers(self) -> dict[str, str | float | int]:
@@ -64,13 +67,18 @@ class SheetCell:
 
 
 def write_sheet(
-    renderer: Renderer, sequences: Mapping[str, FrameSequence], intensities_mm_h: Sequence[float], path: Path
+    renderer: Renderer,
+    sequences: Mapping[str, FrameSequence],
+    intensities_mm_h: Sequence[float],
+    path: Path,
+    *,
+    wet: bool | None = None,
 ) -> Generator[Progress, None, list[SheetCell]]:
     """Render the first frame of each view (`sequences` by name) in each intensity, and write the sheet.
 
     Each image is the one that `export_frames` writes of the view in that rain. Apart from their intensity, whose
     keyframes do not count, all have the rain, keyframes and seed of the view. Changes are those from 0 mm/h, which has
-    the fog and the glass of the others.
+    the fog and the glass of the others. `wet` is the choice of `with_wet_choice` for each intensity.
 
     Yields progress before each image, and returns the cells. Raises OSError if the sheet can't be written.
     """
@@ -81,7 +89,7 @@ def write_sheet(
         clear = None
         for intensity in (0.0, *intensities_mm_h):
             yield Progress(len(cells) / count, f"{view} {intensity:g} mm/h".lstrip())
-            rainy = {name: _in_rain(each, intensity_mm_h=intensity) for name, each in sequences.items()}
+            rainy = {name: _at(each, intensity, wet) for name, each in sequences.items()}
             if intensity not in skies:
                 skies[intensity] = common_sky(renderer, rainy)
             if clear is None:
@@ -90,6 +98,11 @@ def write_sheet(
                 cells.append(_cell(renderer, rainy[view], view, skies[intensity], clear))
     write_image(path, Image.fromarray(intensity_sheet(cells)))
     return cells
+
+
+def _at(sequence: FrameSequence, intensity_mm_h: float, wet: bool | None) -> FrameSequence:
+    rain = msgspec.structs.replace(sequence.rainfall.rain, intensity_mm_h=intensity_mm_h)
+    return _in_rain(sequence, **msgspec.structs.asdict(with_wet_choice(rain, wet, intensity_mm_h)))
 
 
 def _in_rain(sequence: FrameSequence, **changes: Any) -> FrameSequence:
@@ -117,6 +130,7 @@ def _cell(
         float(_visible_change(image, clear).mean()),
         streaks_drawn,
         streaks,
+        provenance_of(sequence.frame_input(sequence.shot(0), sky)),
     )
 
 

@@ -21,7 +21,7 @@ Colors = UInt8[np.ndarray, "h w 3"]
 Plane = Float32[np.ndarray, "h w"]
 
 _GUIDED_SHARE, _GUIDED_SPREAD = 1 / 12, 3e-3**0.5  # radius over the width; deviation of colors (0..1) that is an edge
-_AROUND_PX, _ALIKE, _FADED = 4, 0.08, 0.05
+_AROUND_PX, _ALIKE, _FADED = 3, 0.03, 0.2
 """Reach of a measured distance in pixels of the distances, deviation of colors (0..1) that are one thing, and weight
 of nothing known."""
 _MIN_AHEAD = 0.1  # cosine of a ray to the axis: beyond 84 degrees, distances of the picture's edge go on
@@ -56,14 +56,14 @@ class Distances:
         whole = cv2.remap(found, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         guide = photo.astype(np.float32) / 255
         smooth = color_guided_filter(whole, guide, max(round(_GUIDED_SHARE * photo.shape[1]), 1), _GUIDED_SPREAD)
-        # The filter lets the far into the near. What is measured says how far off it is around.
+        # The filter lets the far into the near: what is measured to be nearer keeps more.
         back = _maps(own, camera)
         small = cv2.remap(smooth, *back, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         colors = cv2.remap(
             cv2.blur(guide, _block(camera, own)), *back, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
         )
         known = depth > 0 if self.measured is None else self.measured
-        error = _spread(found - small, known, colors)
+        error = _spread(np.maximum(found - small, 0), known, colors)
         smooth += cv2.remap(error, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return np.clip(smooth, found.min(), found.max())
 
@@ -82,7 +82,7 @@ class Photograph:
         that is how the rain adds its own.
         """
         encode, decode = (linear_to_srgb, srgb_to_linear) if falling.is_linear else (np.asarray, np.asarray)
-        behind = decode(self.pixels.astype(np.float64) / 255)
+        behind = decode(np.arange(256) / 255).astype(np.float32)[self.pixels]
         if falling.medium is not None:
             camera = falling.view.camera
             kept = self.distances.transmittance(falling.medium, camera, self.pixels)[..., None]

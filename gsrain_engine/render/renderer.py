@@ -55,7 +55,7 @@ class RenderStatistics:
 
 
 class PictureFilter(NamedTuple):
-    """What acts on a drawn picture on the way to the stored one, such as glass or a sensor."""
+    """Effect on a drawn picture on the way to the stored one, such as glass or a sensor."""
 
     name: str
     """That of its pass."""
@@ -77,7 +77,7 @@ class Frame:
     Through a lens it is the distance from the camera.
     """
     filters: tuple[PictureFilter, ...] = ()
-    """What acts on the 8-bit image, such as glass and sensor; floats are without them."""
+    """Effects on the 8-bit image, such as glass and sensor; floats are without them."""
 
     def over(self, background: Color = (0.0, 0.0, 0.0)) -> Float32[np.ndarray, "h w 3"]:
         alpha = self.rgba[..., 3:]
@@ -162,7 +162,7 @@ class Renderer(Protocol):
 
 @runtime_checkable
 class PictureSource(Protocol):
-    """What a picture is read from: a renderer, or bands of its pictures."""
+    """Source of a picture's pixels: a renderer, or bands of its pictures."""
 
     def read(self) -> Frame: ...
 
@@ -172,7 +172,7 @@ class PictureSource(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Picture:
+class DrawnPicture:
     """A picture as it was drawn, to be read before its renderer draws the next one."""
 
     renderer: Renderer

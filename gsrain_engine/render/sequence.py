@@ -88,6 +88,8 @@ class FrameSequence:
     sky_scene: Scene | None = None
     """Scene whose sky gives drops and medium their colors, if another: that of a transparent background has none."""
     _memory: CameraMemory = field(default_factory=CameraMemory, init=False)
+    _sampled: dict[str, SkyColor] = field(default_factory=dict[str, SkyColor], init=False)
+    """Sky by back end."""
 
     def time_s(self, number: int) -> float:
         """Time of a frame, the middle of its exposure."""
@@ -120,7 +122,9 @@ class FrameSequence:
                 return RenderView(camera, time_s, self.camera.velocity(time_s))
 
     def sky(self, renderer: Renderer) -> SkyColor:
-        """Sample the sky from the start of the sequence; all cameras of a rig use the same position."""
+        """Sample the sky from the start of the sequence, once; all cameras of a rig use the same position."""
+        if renderer.name in self._sampled:
+            return self._sampled[renderer.name]
         match self.camera:
             case Camera():
                 place = self.camera
@@ -131,13 +135,10 @@ class FrameSequence:
                 assert ego is not None
                 front = max(self.scene.rigs[rig], key=lambda each: each.camera_to_ego[0, 2])
                 place = rig_camera(self.scene, rig, front.name, float(ego.times[int(np.argmax(ego.valid))]))
-        return sky_color(
-            renderer,
-            self.sky_scene or self.scene,
-            place,
-            thinning=LodCut() if self.lod else None,
-            dry=self.rainfall.is_never_overcast,
-        )
+        scene, thinning = self.sky_scene or self.scene, LodCut() if self.lod else None
+        found = sky_color(renderer, scene, place, thinning=thinning, dry=self.rainfall.is_never_overcast)
+        self._sampled[renderer.name] = found
+        return found
 
     def frame(
         self,

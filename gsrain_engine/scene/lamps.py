@@ -3,17 +3,18 @@
 from collections.abc import Sequence
 from typing import Annotated, NamedTuple
 
-import msgspec
 import numpy as np
 from jaxtyping import Float64
 from msgspec import Meta
+
+from ..settings import Settings
 
 Vector = tuple[float, float, float]
 MAX_LAMPS = 64
 """Lamps that light a picture: the strongest at the camera."""
 
 
-class Lamp(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Lamp(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A lamp with a cone of light."""
 
     name: str = ""
@@ -35,6 +36,7 @@ class Lamp(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """`scene`, `ego`, or the id of an actor."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         numbers = (*self.position, *self.direction, *self.color)
         if not np.isfinite(numbers).all() or not 1e-9 < np.linalg.norm(self.direction) < 1e9:
             raise ValueError(f"lamp {self.name!r} needs finite numbers and a direction")

@@ -5,11 +5,11 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Annotated, Any, Literal, NamedTuple
 
-import msgspec
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int64
 from msgspec import Meta
 
+from ..settings import Settings
 from .camera import Camera
 from .camera_path import CameraPath
 from .flags import UNMARKED, BitMask, SelectionFlags
@@ -369,7 +369,7 @@ class PoseTrack:
 # An affine map of display colors, so that it can be baked into harmonics exactly.
 
 
-class ColorGrading(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class ColorGrading(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Color adjustments in the order of application. The defaults change nothing."""
 
     exposure_ev: Annotated[

@@ -3,12 +3,12 @@
 from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
 
-import msgspec
 import numpy as np
 from jaxtyping import Float64
 from msgspec import Meta
 
 from ..presets import load_config, shipped_config_names
+from ..settings import Settings
 from .camera import Camera
 from .rolling_shutter import Readout, readout_of
 
@@ -34,34 +34,34 @@ class ThinLens(NamedTuple):
 PINHOLE = ThinLens()
 
 
-class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Sensor(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Image sensor and lens of a camera. The defaults are a pinhole that adds nothing to the picture."""
 
     # fmt: off
-    size_px: Annotated[tuple[int, int], Meta(
+    size_px: Annotated[tuple[Annotated[int, Meta(ge=16, le=65_536)], Annotated[int, Meta(ge=16, le=65_536)]], Meta(
         title="Size", extra={"unit": "px"},
         description="Native width and height. A smaller picture shows all of its height.")] = (1920, 1280)
     pixel_pitch_um: Annotated[float, Meta(
         ge=0.5, le=50, title="Pixel pitch", extra={"unit": "um"}, description="Distance of native pixels.")] = 3.0
-    f_number: Annotated[float | None, Meta(
-        title="f-number", extra={"none": "pinhole", "ge": 0.7, "le": 64.0},
+    f_number: Annotated[Annotated[float, Meta(ge=0.7, le=64)] | None, Meta(
+        title="f-number", extra={"none": "pinhole"},
         description="Focal length over the diameter of the lens opening; none is a pinhole.")] = None
-    focus_distance_m: Annotated[float | None, Meta(
-        title="Focus distance", extra={"unit": "m", "none": "hyperfocal", "ge": 0.2, "le": 10_000.0},
+    focus_distance_m: Annotated[Annotated[float, Meta(ge=0.2, le=10_000)] | None, Meta(
+        title="Focus distance", extra={"unit": "m", "none": "hyperfocal"},
         description="Distance that is sharp; none is hyperfocal: infinity blurs over one native pixel.")] = None
-    shutter_s: Annotated[float | None, Meta(
-        title="Shutter", extra={"unit": "s", "none": "the camera's", "ge": 1e-5, "le": 1.0},
+    shutter_s: Annotated[Annotated[float, Meta(ge=1e-5, le=1)] | None, Meta(
+        title="Shutter", extra={"unit": "s", "none": "the camera's"},
         description="Exposure time; none takes the camera's own.")] = None
     readout_s: Annotated[float, Meta(
         ge=0, le=0.2, title="Readout", extra={"unit": "s"},
         description="Rolling shutter: time from the first to the last row for drops; 0 is a global shutter.")] = 0.0
     readout_direction: Annotated[Literal["down", "up", "right", "left"], Meta(
         title="Readout direction", description="Course of the rolling shutter over the picture.")] = "down"
-    mean_gray: Annotated[float | None, Meta(
-        title="Auto exposure", extra={"none": "off", "ge": 1.0, "le": 254.0},
+    mean_gray: Annotated[Annotated[float, Meta(ge=1, le=254)] | None, Meta(
+        title="Auto exposure", extra={"none": "off"},
         description="Gray level of the mean luminance, to which a gain of 1/4 to 4 leads; none: no gain.")] = None
-    full_well_e: Annotated[float | None, Meta(
-        title="Full well", extra={"unit": "e-", "none": "no noise", "ge": 10.0, "le": 1e7},
+    full_well_e: Annotated[Annotated[float, Meta(ge=10, le=1e7)] | None, Meta(
+        title="Full well", extra={"unit": "e-", "none": "no noise"},
         description="Electrons of white at gain 1; none: no noise.")] = None
     read_noise_e: Annotated[float, Meta(
         ge=0, le=1000, title="Read noise", extra={"unit": "e-"}, description="Standard deviation.")] = 0.0
@@ -83,23 +83,13 @@ class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     chroma_noise: Annotated[float, Meta(
         ge=0, le=8, title="Chroma noise",
         description="Factor on the noise of color differences, which the correction of colors amplifies.")] = 1.0
-    chroma_blur_px: Annotated[tuple[float, float], Meta(
+    chroma_blur_px: Annotated[tuple[Annotated[float, Meta(ge=0, le=8)], Annotated[float, Meta(ge=0, le=8)]], Meta(
         title="Chroma blur", extra={"unit": "px"},
         description="Blur of color differences across and down the picture (standard deviation).")] = (0.0, 0.0)
-    jpeg_quality: Annotated[int | None, Meta(
-        title="JPEG quality", extra={"none": "no JPEG", "ge": 1, "le": 100},
+    jpeg_quality: Annotated[Annotated[int, Meta(ge=1, le=100)] | None, Meta(
+        title="JPEG quality", extra={"none": "no JPEG"},
         description="Compression inside of the camera, before the picture is stored; none: none.")] = None
     # fmt: on
-
-    def __post_init__(self) -> None:
-        if not all(16 <= side <= 65_536 for side in self.size_px):
-            raise ValueError(f"size_px must be within 16..65536, got {self.size_px}")
-        if not all(0 <= blur <= 8 for blur in self.chroma_blur_px):
-            raise ValueError(f"chroma_blur_px must be within 0..8, got {self.chroma_blur_px}")
-        for name, low, high in _OPTIONAL:
-            value = getattr(self, name)
-            if value is not None and not low <= value <= high:
-                raise ValueError(f"{name} must be within {low:g}..{high:g}, got {value}")
 
     @property
     def changes_picture(self) -> bool:
@@ -129,13 +119,6 @@ class Sensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     def readout(self, camera: Camera) -> Readout:
         """Rolling shutter in coordinates of a camera; the middle of the picture is exposed at the frame's time."""
         return readout_of(camera, self.readout_s, self.readout_direction)
-
-
-_OPTIONAL = (
-    ("f_number", 0.7, 64), ("focus_distance_m", 0.2, 10_000), ("shutter_s", 1e-5, 1), ("mean_gray", 1, 254),
-    ("full_well_e", 10, 1e7), ("jpeg_quality", 1, 100),
-)  # fmt: skip
-"""Bounds of the numbers that may be None."""
 
 
 # Presets

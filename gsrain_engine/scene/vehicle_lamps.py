@@ -2,15 +2,15 @@
 
 from typing import Annotated, Literal
 
-import msgspec
 from msgspec import Meta
 
+from ..settings import Settings
 from .lamps import Lamp
 from .objects import is_vehicle
 from .scene import Scene
 
 
-class VehicleLamps(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class VehicleLamps(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Headlights and tail lights of the ego vehicle and of all actors that are motor vehicles.
 
     The defaults are a low beam of 4000 cd within a few degrees and a tail light of 10 cd (UNECE R 48, R 7), in pictures

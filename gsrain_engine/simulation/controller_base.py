@@ -2,11 +2,11 @@
 
 from typing import Annotated, Literal, Protocol, runtime_checkable
 
-import msgspec
 import numpy as np
 from jaxtyping import Float64
 from msgspec import Meta
 
+from ..settings import Settings
 from .geometry import arc_lengths, points_along, wrap_angle
 from .vehicle import Control, Vehicle, VehicleState
 
@@ -28,7 +28,7 @@ class Controller(Protocol):
 HeadingReference = Literal["tangent", "hugsim"]
 
 
-class ControllerSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class ControllerSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Choice of a controller and its limits."""
 
     kind: Annotated[

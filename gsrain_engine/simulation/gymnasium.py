@@ -10,6 +10,8 @@ import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 from msgspec import Meta
 
+from ..settings import Settings
+
 try:
     import gymnasium
     from gymnasium import spaces
@@ -42,7 +44,7 @@ _FRONT = SensorRequirements(("front",))
 _LARGEST_SEED = 2**32
 
 
-class Reward(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Reward(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Weights of the reward of a step.
 
     reward = progress * (meters along the route) - discomfort * (a^2 + (v * yaw rate)^2) * step, with the

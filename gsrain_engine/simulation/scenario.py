@@ -4,12 +4,12 @@ from dataclasses import replace
 from functools import partial
 from typing import Annotated, Literal
 
-import msgspec
 import numpy as np
 from msgspec import Meta
 
 from ..rain.settings import RainSettings
 from ..scene.scene import Actor, Scene
+from ..settings import Settings
 from .controller_base import ControllerSettings
 from .friction import Friction, RoadGrip
 from .geometry import Route
@@ -24,7 +24,7 @@ from .vehicle import Vehicle, VehicleState
 _Side = Annotated[float, Meta(gt=0, le=100)]
 
 
-class ScenarioUser(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class ScenarioUser(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A road user of a scenario; its place is measured along the ego vehicle's route."""
 
     id: Annotated[str, Meta(min_length=1, title="Name")]
@@ -66,7 +66,7 @@ class ScenarioUser(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     behaviour: BehaviorSettings
 
 
-class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Scenario(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One closed-loop test. Times are seconds since its start unless stated otherwise."""
 
     name: Annotated[str, Meta(min_length=1, title="Name")]
@@ -120,6 +120,7 @@ class Scenario(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     ] = 10.0
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         ids = [user.id for user in self.road_users]
         for each in ids:
             if ids.count(each) > 1:

@@ -3,15 +3,15 @@
 from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
-import msgspec
 import numpy as np
 from jaxtyping import Float64
 from msgspec import Meta
 
+from ..settings import Settings
 from .geometry import PlanarBox
 
 
-class Vehicle(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Vehicle(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Dimensions and limits of a car. Frame: x forward, y left, z up, origin on the ground below the rear axle.
 
     The defaults are a mid-size car; wheelbase, steering and acceleration limits are those of HUGSIM's controller.

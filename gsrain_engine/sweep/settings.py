@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from msgspec import Meta, Struct, structs
+from msgspec import Meta, structs
 
 from ..backends import Backend
 from ..evaluation.attribution.factors import factor_names, is_attributed
@@ -21,6 +21,7 @@ from ..safe_io.errors import convert_checked
 from ..scene.lamp_choice import LAMP_WORDS
 from ..scene.open import STREET
 from ..scene.sensor import load_sensor, sensor_names
+from ..settings import Settings
 from ..simulation.agents.registry import HUGSIM, agent_names
 from ..simulation.friction import Friction
 from ..simulation.scenario import Scenario
@@ -44,7 +45,7 @@ Seed = Annotated[int, Meta(ge=0, le=2**32 - 1)]
 Seeds = Annotated[int, Meta(ge=1, le=100_000)] | Annotated[tuple[Seed, ...], Meta(min_length=1)]
 
 
-class HugsimClient(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class HugsimClient(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A driving stack that runs elsewhere and speaks HUGSIM's protocol: UniAD, VAD or LTF, started for each drive."""
 
     command: Annotated[str, Meta(
@@ -56,7 +57,7 @@ class HugsimClient(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
         description="For the first plan; at most 60 s of it for each later one.")] = 120.0  # fmt: skip
 
 
-class AgentChoice(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class AgentChoice(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """An agent with its options."""
 
     name: Annotated[str, Meta(min_length=1, title="Name", description="Of those of gsrain drive --agent.")] = HUGSIM
@@ -71,6 +72,7 @@ class AgentChoice(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     url: Annotated[str | None, Meta(title="URL", description="URL of a driving agent that runs elsewhere.")] = None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if (self.name == HUGSIM) != (self.hugsim is not None):
             raise ValueError("an agent has either a name or `hugsim: {command: ...}`")
 
@@ -83,7 +85,7 @@ class AgentChoice(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 # Jitter: seeds vary initial positions and speeds, so that runs differ even without rain
 
 
-class Jitter(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Jitter(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Standard deviations of normal distributions truncated at two sigma."""
 
     ego_speed_m_s: Annotated[float, Meta(ge=0, le=10, title="Ego's speed", extra={"unit": "m/s"})] = 0.0
@@ -106,7 +108,7 @@ Scales = tuple[Annotated[float, Meta(ge=0.25, le=4)], ...]
 Exposures = tuple[Annotated[float, Meta(ge=1e-5, le=1.0)], ...]
 
 
-class Variant(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+class Variant(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """One choice on each further axis of a sweep of drives; None is what the scenario says."""
 
     wet: bool | None = None
@@ -165,7 +167,7 @@ class Variant(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omi
         return structs.replace(scenario, rain=rain, road_users=users, speed_m_s=speed, friction=friction)
 
 
-class DriveSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="drive"):
+class DriveSweep(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="drive"):
     """Closed-loop drives. A seed has the same effect at every intensity, so that results form pairs."""
 
     scenarios: Annotated[
@@ -243,6 +245,7 @@ class DriveSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, 
     output: OutputFolder = None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         is_attributed(self.attribute)  # raises for an unusable choice
 
     @property
@@ -252,7 +255,7 @@ class DriveSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, 
         return [Variant(**dict(zip(axes, values, strict=True))) for values in product(*axes.values())]
 
 
-class RenderSweep(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="render"):
+class RenderSweep(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="render"):
     """Videos or images with labels, as a data set. Labels are the same at every intensity."""
 
     recording: Annotated[

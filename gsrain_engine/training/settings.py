@@ -5,20 +5,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import msgspec
 import numpy as np
 from msgspec import Meta
 
 from ..datasets.capture import CaptureFrame
 from ..presets import load_values, shipped_config_names
 from ..safe_io.errors import convert_checked
+from ..settings import Settings
 
 _FOLDER = "reconstruct"
 Weight = Annotated[float, Meta(ge=0, le=100)]
 Rate = Annotated[float, Meta(gt=0, le=1)]
 
 
-class LearningRates(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class LearningRates(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Adam learning rate of each parameter (3D Gaussian Splatting, Kerbl et al. 2023, section 5 and their code)."""
 
     means: Annotated[Rate, Meta(title="Means", description="At the first step, times the extent of the cameras.")] = (
@@ -35,7 +35,7 @@ class LearningRates(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     exposure: Annotated[Rate, Meta(title="Exposures", description="Of each picture's affine map of colors.")] = 1e-3
 
 
-class TrainingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class TrainingSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Settings of the fit of Gaussians to images. Defaults take about ten minutes on a two-core CPU."""
 
     # fmt: off

@@ -31,7 +31,9 @@ render nowhere.ply -o a.png                          | nowhere.ply
 render room.ply -o a.png --rain 150                  | --rain: Expected `float` <= 149.0
 render room.ply -o a.png --size 960                  | --size 960: expected WIDTHxHEIGHT
 render room.ply -o a.png --preset drizzle            | preset drizzle
-render room.ply -o a.png --exposure 2                | --exposure must be within
+render room.ply -o a.png --exposure 2                | --exposure: Expected `float` <= 1.0
+drive --calibration mine.yaml                        | calibration mine.yaml: no such file
+evaluate lidar -o out --calibration mine.yaml        | calibration mine.yaml: no such file
 render room.ply -o a.png --time nan                  | --time: Expected a finite number
 render room.ply -o a.png --seed 1.5                  | --seed 1.5: expected a whole number
 render room.ply -o a.png --color red                 | --color

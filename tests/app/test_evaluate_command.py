@@ -51,7 +51,7 @@ def real(tmp_path):
 def test_streaks_of_real_and_rendered_rain(real, reported, capsys):
     command = ("evaluate", "streaks", real, "--exposure", "0.008,0.02", "--frames", "7")
     report = reported(*command)
-    assert (report["frames"], report["rain_light"], report["seed"]) == (7, "linear", 0)
+    assert (report["frames"], report["model"], report["seed"]) == (7, "physical", 0)
     assert [row["labelled_mm_h"] for row in report["rows"]] == [1.5, 6.0]
     for row in report["rows"]:
         assert row["rendered_mm_h"] == row["labelled_mm_h"]
@@ -83,7 +83,7 @@ def test_options_change_the_rendered_rain(real, reported):
     assert (labelled, none) == (1.5, 0)
     assert plain > clear + 0.02
     assert mean_std("--streak-gain", "4")[1] > plain + 0.05
-    assert mean_std("--blend-space", "display")[1] < plain - 0.01
+    assert mean_std("--model", "paper")[1] < plain - 0.01
     assert mean_std("--aperture", "8")[1] < plain - 0.01
     assert mean_std("--seed", "1")[1] != plain
 

@@ -128,7 +128,7 @@ EDIT = st.one_of(
 )  # fmt: skip
 RAIN = st.fixed_dictionaries({}, optional={
     "intensity_mm_h": st.floats(0, 100), "wind_m_s": st.tuples(st.floats(-9, 9), st.floats(-9, 9)),
-    "exposure_s": st.floats(0.001, 0.1), "haze": st.booleans(), "seed": SEED,
+    "exposure_s": st.floats(0.001, 0.1), "haze": st.sampled_from(["medium", "gaussians", "none"]), "seed": SEED,
 })  # fmt: skip
 NUMBER = st.sampled_from(["time", "intensity_mm_h", "wind x", "exposure_s"])
 KEYFRAMES = st.one_of(

@@ -36,7 +36,8 @@ FLIGHT = CameraPath(
 
 
 def files_in(folder):
-    return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    files = [path for path in folder.rglob("*") if path.is_file() and not path.name.endswith(".provenance.json")]
+    return {path.relative_to(folder): path.read_bytes() for path in files}
 
 
 def test_the_estimate_is_of_the_last_picture_that_a_recording_would_draw_as_well(editor):

@@ -60,7 +60,7 @@ def test_exposure_of_simulated_rain_is_estimated(exposure_s):
 
 def test_display_mixing_is_fainter_on_dark_backgrounds():
     rain = {"noise": 0, "intensity_mm_h": 2.0, "exposure_s": 0.008}
-    linear, display = (rendered(rain_light=light, **rain).astype(float) - 45 for light in ("linear", "display"))
+    linear, display = (rendered(model=model, **rain).astype(float) - 45 for model in ("physical", "paper"))
     assert linear.min() >= 0 and (rendered(noise=0) == 45).all()  # no rain: the background
     assert 2 < linear.mean() / display.mean() < 8
 

@@ -38,7 +38,7 @@ def make_streaks(
 ) -> StreakGaussians:
     """Turn drops into one to n_max Gaussians each, as the docstring of `streak_gaussians` describes."""
     diameters_m = diameters_mm * 1e-3
-    seen = velocities_m_s - shutter.velocity_m_s if rain.streak_frame == "camera" else velocities_m_s
+    seen = velocities_m_s if rain.is_paper else velocities_m_s - shutter.velocity_m_s
     later, stretch = _exposed_later(positions_m, seen, shutter)
     positions_m = positions_m + later[:, None] * seen
     to_drop = positions_m - shutter.camera.position
@@ -47,7 +47,7 @@ def make_streaks(
     across = np.linalg.norm(seen - np.sum(seen * sight, axis=1, keepdims=True) * sight, axis=1)
 
     speed = np.linalg.norm(seen, axis=1)
-    smearing = across if rain.streak_frame == "camera" else speed
+    smearing = speed if rain.is_paper else across
     alpha = np.minimum(1, diameters_m / np.maximum(smearing * shutter.exposure_s, 1e-12))
     limit = visible_distance_m(diameters_mm, shutter.focal_px)
     alpha = alpha * np.minimum(1, limit / np.maximum(depth, 1e-9))

@@ -326,7 +326,7 @@ def test_actors_keep_their_numbers_and_poses(tmp_path):
 
 @pytest.mark.parametrize(
     ("change", "words"),
-    [({"haze": "gaussians"}, "haze gaussians"), ({"rain_light": "display"}, "rain_light display"),
+    [({"haze": "gaussians"}, "haze gaussians"), ({"model": "paper"}, "model paper"),
      ({"visibility_m": 200.0}, "visibility_m 200")],
 )  # fmt: skip
 def test_rain_that_a_page_can_not_draw(change, words):

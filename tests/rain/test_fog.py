@@ -43,13 +43,13 @@ def test_with_haze_of_another_kind_the_medium_is_fog_alone():
     assert both == pytest.approx(alone * rain, rel=1e-4)
 
 
-@pytest.mark.parametrize("rain_light", ["linear", "display"])
-def test_a_wall_in_fog_keeps_its_share_of_contrast(rain_light):
+@pytest.mark.parametrize("model", ["physical", "paper"])
+def test_a_wall_in_fog_keeps_its_share_of_contrast(model):
     camera, renderer, dark = camera_at(size=(24, 16), fov_deg=6.0), CpuRenderer(), 0.02
-    frame = frame_of(camera, visibility_m=100.0, rain_light=rain_light)
+    frame = frame_of(camera, visibility_m=100.0, model=model)
     renderer.draw([wall(50.0, np.full(3, dark))], camera, frame)
     image = renderer.read().rgba[..., :3].astype(float)
-    if rain_light == "linear":
+    if model == "physical":
         image, ends = srgb_to_linear(image), (AIRLIGHT, dark)
     else:
         ends = np.array(SKY), 0.1521  # display value of 0.02

@@ -14,17 +14,17 @@ def haze(time_s=0.0, count=20_000, camera=FAR_AWAY, anchor=ANCHOR, **fields):
     return make_haze(RainSettings(intensity_mm_h=8.5, **fields), count, time_s, anchor, camera, np.ones(3))
 
 
-@pytest.mark.parametrize("reset", ["fade", "paper"])
+@pytest.mark.parametrize("model", ["physical", "paper"])
 @pytest.mark.parametrize("time_s", [0.0, 2.9, 1234.5])
-def test_haze_fills_the_region_of_a_car_that_has_turned_and_driven_on(reset, time_s):
+def test_haze_fills_the_region_of_a_car_that_has_turned_and_driven_on(model, time_s):
     """In the car's own axes all of it is within 3 sigma of the region; the sum of opacities is M alpha_m.
 
     Each eighth of the region holds its eighth.
     """
-    rain, anchor = RainSettings(haze_reset=reset), np.eye(4)
+    rain, anchor = RainSettings(model=model), np.eye(4)
     cosine, sine = np.cos(0.7), np.sin(0.7)
     anchor[:2, :2], anchor[:3, 3] = [[cosine, -sine], [sine, cosine]], (300.0, -20.0, 2.0)
-    made = haze(time_s, anchor=anchor, haze_reset=reset)
+    made = haze(time_s, anchor=anchor, model=model)
     local = (made.means - anchor[:3, 3]) @ anchor[:3, :3] - rain.haze_box.center_m
     half = np.array(rain.haze_box.size_m) / 2
     assert np.all(np.abs(local) <= half + 3 * rain.haze_sigma_m + 1e-3)
@@ -49,7 +49,7 @@ def test_few_gaussians_are_split_up_into_the_geometric_mean_with_16000(count, sh
 
 def test_haze_begins_3_m_from_the_camera_and_is_whole_at_5_m():
     camera = np.array([10.0, 2.0, 1.0])
-    made = haze(1.0, camera=camera, count=60_000, haze_reset="paper")
+    made = haze(1.0, camera=camera, count=60_000, model="paper")
     x = np.clip((np.linalg.norm(made.means - camera, axis=1) - 3) / 2, 0, 1)
     assert made.opacities == pytest.approx(RainSettings().haze_opacity * x**2 * (3 - 2 * x), abs=1e-6)
     assert x.min() < 0.3 and np.sum(x < 1) > 20
@@ -70,12 +70,12 @@ def test_a_haze_gaussian_comes_in_a_second_stays_two_and_goes_in_a_second():
         assert np.all(np.diff(values[:10]) > 0)
 
 
-@pytest.mark.parametrize(("reset", "share"), [("fade", 0.85), ("paper", 0.0)])
-def test_haze_stays_in_its_places_while_the_car_drives_on_but_the_paper_resets_every_frame(reset, share):
+@pytest.mark.parametrize(("model", "share"), [("physical", 0.85), ("paper", 0.0)])
+def test_haze_stays_in_its_places_while_the_car_drives_on_but_the_paper_resets_every_frame(model, share):
     """5 m of 73 are new to a car that has driven on."""
     moved = np.eye(4)
-    moved[0, 3] = 5.0 if reset == "fade" else 0.0
-    here, there = haze(3.0, haze_reset=reset), haze(3.04 if reset == "paper" else 3.0, anchor=moved, haze_reset=reset)
+    moved[0, 3] = 5.0 if model == "physical" else 0.0
+    here, there = haze(3.0, model=model), haze(3.04 if model == "paper" else 3.0, anchor=moved, model=model)
     places = {tuple(np.round(p, 3)) for p in here.means}
     common = sum(tuple(np.round(p, 3)) in places for p in there.means)
     assert share * len(there.means) <= common and (common > 0) == (share > 0)

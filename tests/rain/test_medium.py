@@ -59,13 +59,12 @@ def test_points_keep_exp_of_minus_beta_r(intensity_mm_h):
 
 
 @pytest.mark.parametrize("intensity_mm_h", INTENSITIES)
-@pytest.mark.parametrize("far_drops", ["haze", "published"])
-def test_medium_and_streaks_extinguish_beta_together(intensity_mm_h, far_drops):
+def test_medium_and_streaks_extinguish_beta_together(intensity_mm_h):
     """Against the cross-sections of the drawn drops, summed along each ray by brute force."""
     anchor = np.eye(4)
     anchor[:2, :2] = [[np.cos(0.4), -np.sin(0.4)], [np.sin(0.4), np.cos(0.4)]]
     eye = camera_at((0.5, 0.2, 0.3))
-    frame = frame_of(eye, anchor, focal_px=1200.0, intensity_mm_h=intensity_mm_h, far_drops=far_drops)
+    frame = frame_of(eye, anchor, focal_px=1200.0, intensity_mm_h=intensity_mm_h)
     per_m3 = frame.count / np.prod(frame.period_m)
     areas = np.pi / 4 * (1e-3 * frame.diameters_mm) ** 2
     order = np.argsort(frame.culling.class_far_m)
@@ -160,11 +159,11 @@ def test_a_wall_keeps_its_share_of_contrast(intensity_mm_h, distance_m):
     assert contrast == pytest.approx(np.full(contrast.shape, expected), abs=tolerance)
 
 
-@pytest.mark.parametrize("rain_light", ["linear", "display"])
+@pytest.mark.parametrize("model", ["physical", "paper"])
 @pytest.mark.parametrize("streaks", [False, True])
-def test_sky_is_airlight(rain_light, streaks):
+def test_sky_is_airlight(model, streaks):
     camera, renderer = camera_at(), CpuRenderer()
-    renderer.draw([], camera, frame_of(camera, intensity_mm_h=8.5, rain_light=rain_light, streaks=streaks))
+    renderer.draw([], camera, frame_of(camera, intensity_mm_h=8.5, model=model, streaks=streaks))
     rgba = renderer.read().rgba
     assert rgba == pytest.approx(np.broadcast_to([*SKY, 1.0], rgba.shape), abs=1e-3)
 

@@ -59,7 +59,7 @@ def streak_picture(
     color = np.full(3, gray)
     shutter = ShutterModel(camera, np.zeros(3), exposure_s, FOCAL, lens or ThinLens())
     drops = streak_gaussians(at, np.full(count, diameter_mm), velocities, shutter, rain, color)
-    renderer.draw(list(parts), camera, given_rain(drops, srgb_to_linear(color).astype(np.float32), rain.rain_light))
+    renderer.draw(list(parts), camera, given_rain(drops, srgb_to_linear(color).astype(np.float32), rain.model))
     return renderer.read().rgba.astype(np.float64)
 
 
@@ -107,7 +107,7 @@ def test_a_rolling_shutter_conserves_light_and_moves_drops_to_their_own_time(ren
         drops = streak_gaussians(positions, diameters, velocities, shutter, rain, np.ones(3))
         light = np.ones(3, np.float32)
         # Alpha saturates where drops overlap: its logarithm adds up.
-        renderer.draw([], camera, given_rain(drops, light, rain.rain_light))
+        renderer.draw([], camera, given_rain(drops, light, rain.model))
         means[readout_s] = -np.log(1 - renderer.read().rgba[12:-12, 12:-12, 3].astype(float)).mean()
     assert means[0.0] > 0.05
     assert means[0.04] == pytest.approx(means[0.0], rel=0.05)
@@ -156,16 +156,16 @@ def _variance(alpha, axis):
     return weight @ (places - weight @ places) ** 2
 
 
-@pytest.mark.parametrize(("light", "rise"), [("linear", 8.0), ("display", 3.0)])
-def test_a_streak_before_grey_52_under_a_sky_of_200_rises_as_light_adds(renderer, light, rise):
+@pytest.mark.parametrize(("model", "rise"), [("physical", 8.0), ("paper", 3.0)])
+def test_a_streak_before_grey_52_under_a_sky_of_200_rises_as_light_adds(renderer, model, rise):
     """A 1.5 mm drop at 16 ms covers 2 %: 8 levels where light adds, 3 where display values are mixed."""
     drop = {"diameter_mm": 1.5, "distance_m": 0.25, "exposure_s": 0.016, "phases": [(0.5, 0.5)]}
-    drop |= {"gray": 200 / 255, "rain_light": light}
+    drop |= {"gray": 200 / 255, "model": model}
     alpha = streak_picture(renderer, **drop)[..., 3]
     before = streak_picture(renderer, **drop, parts=[wall(9.0, 52 / 255)], streak_gain=0.0)[..., 0]
     after = streak_picture(renderer, **drop, parts=[wall(9.0, 52 / 255)])[..., 0]
     assert alpha.max() == pytest.approx(1.5e-3 / (0.016 * fall_speed(1.5)), rel=0.1)
-    if light == "linear":
+    if model == "physical":
         mixed = linear_to_srgb((1 - alpha) * srgb_to_linear(before) + alpha * srgb_to_linear(np.array(200 / 255)))
     else:
         mixed = (1 - alpha) * before + alpha * 200 / 255

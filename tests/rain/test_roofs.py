@@ -144,11 +144,11 @@ def rain(**fields):
     return RainSimulation.start(msgspec.structs.replace(load_preset("12.0"), **fields))
 
 
-@pytest.mark.parametrize("reset", ["lattice", "paper"])
-def test_no_drop_and_no_haze_is_under_the_bridge(reset):
+@pytest.mark.parametrize("model", ["physical", "paper"])
+def test_no_drop_and_no_haze_is_under_the_bridge(model):
     street = scene(ROAD, BRIDGE)
     region = RegionBox(minimum_m=(-1.0, -1.0, -1.5), maximum_m=(5.0, 1.0, 4.5))
-    fields = {"streak_reset": reset, "streak_region": region, "intensity_mm_h": 50.0}
+    fields = {"model": model, "streak_region": region, "intensity_mm_h": 50.0}
     fields |= {"haze": "gaussians", "haze_opacity": 0.01}
     shot = RenderView(camera(), 3.0, focal_px=1000.0)
     open_air, kept_out = (frame(street, rain(roofs=on, **fields), shot) for on in (False, True))

@@ -81,7 +81,7 @@ def test_displacement_is_the_integral_of_the_speeds(between):
 def test_no_drop_jumps_at_a_key_or_between():
     """From one thousandth of a second to the next no class moves farther than its speed, at keys and node crossings."""
     rainfall = RainSimulation.start(RainSettings(seed=5, gust_m_s=1.0), weather=GUSTY)
-    straight = RainSimulation.start(RainSettings(streak_reset="paper", gust_m_s=2.0), weather=GUSTY)
+    straight = RainSimulation.start(RainSettings(model="paper", gust_m_s=2.0), weather=GUSTY)
     assert np.array_equal(straight.frozen_at(12.0).motion.drift(12.0), np.zeros(2))  # the paper's form, in any weather
     for at in (0.0, 3.0, 18.0, 20.0, 33.0, *np.random.default_rng(2).uniform(0, 35, 12)):
         before, after = (rainfall.frozen_at(float(at) + step).motion for step in (-5e-4, 5e-4))

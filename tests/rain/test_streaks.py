@@ -40,21 +40,21 @@ def test_a_moving_camera_slants_lengthens_and_fades_the_streak():
     assert abs(axis @ expected) == pytest.approx(1, abs=1e-6)
     assert np.ptp(moving.means[:, 1]) > 0.02
     assert moving.opacities[0] < 0.5 * still.opacities[0]
-    world = streak(*drop, velocity=velocity, streak_frame="world")
+    world = streak(*drop, velocity=velocity, model="paper")
     assert np.array_equal(world.means, still.means)
 
 
 @pytest.mark.parametrize(
-    ("position", "frame", "expected"),
+    ("position", "model", "expected"),
     [
-        ((0.5, 0, 0), "camera", 0.2), ((2.0, 0, 0), "camera", 0.2), ((3.2, 0, 0), "camera", 0.2 / 1.6),
+        ((0.5, 0, 0), "physical", 0.2), ((2.0, 0, 0), "physical", 0.2), ((3.2, 0, 0), "physical", 0.2 / 1.6),
         # A drop 16 degrees above the horizon: the paper's form takes V whatever the line of sight.
-        ((0.96, 0, 0.28), "camera", 0.2 / 0.96), ((0.96, 0, 0.28), "world", 0.2),
+        ((0.96, 0, 0.28), "physical", 0.2 / 0.96), ((0.96, 0, 0.28), "paper", 0.2),
     ],
 )  # fmt: skip
-def test_opacity_is_the_diameter_by_the_way_across_and_falls_beyond_the_visible_distance(position, frame, expected):
+def test_opacity_is_the_diameter_by_the_way_across_and_falls_beyond_the_visible_distance(position, model, expected):
     """Eq. 5: D / (v T), for 2 mm, 4 m/s and 2.5 ms; from d_m = 2 m on eq. 7."""
-    made = streak(position, 2.0, 0.0025, max_copies=1, streak_frame=frame)
+    made = streak(position, 2.0, 0.0025, max_copies=1, model=model)
     assert 1 - (1 - float(made.opacities[0])) ** np.sqrt(2 * np.pi) == pytest.approx(expected, rel=1e-5)
 
 
@@ -70,7 +70,7 @@ ROLLING, SIDEWAYS = Sensor(readout_s=0.016), Sensor(readout_s=0.044, readout_dir
 @pytest.mark.parametrize(
     ("camera", "fields"),
     [
-        (AHEAD, {}), (AHEAD, {"streak_frame": "world"}), (AHEAD, {"far_drops": "published"}),
+        (AHEAD, {}), (AHEAD, {"model": "paper"}),
         (AHEAD, {"lens": ThinLens(6e-3, 10.0)}), (AHEAD, {"streak_gain": 30.0}),
         (AHEAD, {"readout": ROLLING.readout(AHEAD)}),
         (AHEAD, {"exposure_s": 1e-4}),  # shorter than the larger drops need for their own diameters

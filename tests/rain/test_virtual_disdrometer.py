@@ -50,7 +50,7 @@ def test_measures_the_intensity_that_was_asked_for(intensity, seconds, air):
 @pytest.mark.parametrize(
     "rain",
     [
-        {"wind_m_s": (9.0, -4.0), "gust_m_s": 3.0}, {"streak_reset": "paper"}, {"velocity": "atlas"}, {"seed": 123},
+        {"wind_m_s": (9.0, -4.0), "gust_m_s": 3.0}, {"model": "paper"}, {"velocity": "atlas"}, {"seed": 123},
         {"closure": "published"},
         {"streak_region": RegionBox(minimum_m=(0.0, 0.0, 0.0), maximum_m=(3.0, 2.0, 1.0))},
     ],

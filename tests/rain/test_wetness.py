@@ -99,4 +99,6 @@ def test_a_rainfall_knows_its_wetness():
 @pytest.mark.parametrize("value", [-0.1, 1.1, float("nan")])
 def test_wetness_out_of_bounds_is_refused(value):
     with pytest.raises(ValueError, match=r"wetness must be within 0\.\.1"):
+        RainSettings(wetness=value)
+    with pytest.raises(ValueError, match="wetness"):
         msgspec.convert({"wetness": value}, RainSettings)

@@ -1,7 +1,7 @@
 """Rainy copies of bags, Waymo, nuScenes and KITTI: other pixels and points, everything else byte for byte."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -46,6 +46,7 @@ class Negatives:
     """Pictures that show at once whether they were replaced."""
 
     written: int = 0
+    provenance: dict = field(default_factory=dict)
 
     def rainy(self, view, photo):
         self.written += 1

@@ -92,15 +92,15 @@ def frame_at(request, open_kind, drawn_frames):
 
 
 LIGHTS = [
-    {"rain_light": "linear", "exposure_s": 0.003},
-    {"rain_light": "display", "exposure_s": 0.05},
-    {"rain_light": "linear", "exposure_s": 0.05, "haze": "none"},
-    {"rain_light": "display", "exposure_s": 0.003, "haze": "none"},
-    {"rain_light": "linear", "exposure_s": 0.003, "haze": "gaussians"},
+    {"model": "physical", "exposure_s": 0.003},
+    {"model": "paper", "exposure_s": 0.05},
+    {"model": "physical", "exposure_s": 0.05, "haze": "none"},
+    {"model": "paper", "exposure_s": 0.003, "haze": "none"},
+    {"model": "physical", "exposure_s": 0.003, "haze": "gaussians"},
     {"intensity_mm_h": 0.0, "visibility_m": 40.0},
-    {"intensity_mm_h": 80.0, "visibility_m": 40.0, "rain_light": "display"},
+    {"intensity_mm_h": 80.0, "visibility_m": 40.0, "model": "paper"},
     {
-        "rain_light": "linear",
+        "model": "physical",
         "intensity_mm_h": 80.0,
         "haze_region": RegionBox(minimum_m=(-9, -9, -1), maximum_m=(30, 9, 20)),
     },
@@ -174,13 +174,13 @@ def test_both_count_the_same(frame_at, kind, place):
     assert ours.drops_drawn == pytest.approx(cpu.drops_drawn, rel=2e-3)
     assert ours.gaussians == cpu.gaussians
     assert ours.splats_drawn == pytest.approx(cpu.splats_drawn, rel=1e-3)
-    assert set(ours.stages_ms) == set(cpu.stages_ms)
+    assert set(ours.stages_ms) <= set(cpu.stages_ms)  # which finds drops in stages of their own
 
 
-@pytest.mark.parametrize("mixing", ["linear", "display"])
-def test_the_same_frame_is_the_same_bytes_and_no_rain_is_no_rain(any_renderer, mixing):
+@pytest.mark.parametrize("model", ["physical", "paper"])
+def test_the_same_frame_is_the_same_bytes_and_no_rain_is_no_rain(any_renderer, model):
     scene, shot = small_scene(), small_shot(64, 40)
-    rain = raining(rain_light=mixing)
+    rain = raining(model=model)
     first, _, again, none = (
         frame_of(any_renderer, scene, replace(shot, time_s=time_s), each).rgba.tobytes()
         for time_s, each in ((2.0, rain), (3.0, rain), (2.0, rain), (2.0, raining(intensity_mm_h=0.0)))

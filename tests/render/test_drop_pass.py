@@ -49,7 +49,7 @@ def falling(time_s=12.3, travelled=(0.0, 0.0, 0.0), weather=None, anchor=ANCHOR,
         (10_000.0, (8_000.0, -6_000.0, 120.0), {"gust_m_s": 5.0}),
         (9_876.543, (-10_000.0, 0.3, -80.0), {"intensity_mm_h": 50.0}),
         (77.7, (300.0, -40.0, 2.0), {"wind_m_s": (15.0, -9.0), "gust_m_s": 6.0, "turbulence_m_s": 3.0}),
-        (10_000.0, (6_000.0, 8_000.0, 0.0), {"streak_reset": "paper"}),
+        (10_000.0, (6_000.0, 8_000.0, 0.0), {"model": "paper"}),
         (12.3, (0.0, 0.0, 0.0), {"weather": SHOWER}),
         (9_876.543, (-6_000.0, 8_000.0, 0.0), {"weather": SHOWER, "gust_m_s": 5.0}),
     ],
@@ -82,8 +82,8 @@ def test_every_drop_is_at_the_same_place_to_the_bit(context, time_s, travelled, 
 @pytest.mark.parametrize(
     "changes",
     [
-        {}, {"exposure_s": 0.05}, {"rain_light": "display"}, {"streak_frame": "world"}, {"far_drops": "published"},
-        {"streak_reset": "paper"}, {"max_copies": 1}, {"wind_m_s": (15.0, -9.0), "turbulence_m_s": 3.0},
+        {}, {"exposure_s": 0.05}, {"model": "paper"},
+        {"max_copies": 1}, {"wind_m_s": (15.0, -9.0), "turbulence_m_s": 3.0},
         {"streak_gain": 20.0}, {"aperture_mm": 8.0}, {"weather": SHOWER},
     ],
 )  # fmt: skip
@@ -92,7 +92,7 @@ def test_draws_what_the_compiled_kernels_make(context, changes):
     rain = falling(**changes)
     renderer.draw([], CAMERA, rain)
     made_there, statistics = renderer.read().rgba, renderer.statistics
-    given = given_rain(gaussians_of(rain), rain.light_linear, rain.rain.rain_light)
+    given = given_rain(gaussians_of(rain), rain.light_linear, rain.rain.model)
     renderer.draw([], CAMERA, given)
     made_here = renderer.read().rgba
     assert np.linalg.norm(made_here) > 1
@@ -130,7 +130,7 @@ def test_rain_comes_and_goes_in_one_renderer(context):
 
 @pytest.mark.parametrize(
     "changes",
-    [{}, {"intensity_mm_h": 0.05}, {"streak_reset": "paper"}, {"far_drops": "published"}, {"weather": SHOWER}],
+    [{}, {"intensity_mm_h": 0.05}, {"model": "paper"}, {"weather": SHOWER}],
 )
 def test_finds_the_drops_that_the_compiled_search_finds(context, changes):
     """Also those that roofs leave."""

@@ -69,7 +69,7 @@ def test_light_of_lamps_agrees(open_kind, on_the_cpu, kind, changes):
 @pytest.mark.parametrize("kind", ["cpu", "opengl", "opengl-tiles"])
 def test_light_in_display_values_has_no_lamps(open_kind, kind):
     shot = small_shot(64, 40)
-    light, _ = light_of(open_kind(kind), BULBS, shot, rain_light="display")
+    light, _ = light_of(open_kind(kind), BULBS, shot, model="paper")
     assert np.all(light == 0)
 
 

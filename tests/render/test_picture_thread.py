@@ -246,9 +246,9 @@ def test_steady_rain_before_a_still_camera_is_drawn_over_a_backdrop_by_the_proce
     for look in ("depth", "splats"):
         viewport.options.look = look
         assert quality().has_backdrop == (look == "splats")
-    for changes in ({"rain_light": "display"}, {"rain_light": "linear"}):
+    for changes in ({"model": "paper"}, {"model": "physical"}):
         editor.document.change_rain("Light", **changes)
-        assert quality().has_backdrop == (changes["rain_light"] == "linear")
+        assert quality().has_backdrop == (changes["model"] == "physical")
 
 
 def test_images_of_a_rig_take_a_tenth_of_the_time_while_time_plays(editor, context, view, monkeypatch):

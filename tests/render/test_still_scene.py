@@ -134,7 +134,7 @@ def test_mirrors_are_shared_while_their_rings_are_new(renderer, monkeypatch):
 
 def test_rain_in_the_light_of_lamps_or_mixed_as_display_colors_is_drawn_exactly(renderer):
     night = replace(street(), lamps=(Lamp(position=(6.0, 2.0, 4.0), intensity_m2=1.0),))
-    for scene, rainfall in ((street(), rain(rain_light="display")), (night, rain())):
+    for scene, rainfall in ((street(), rain(model="paper")), (night, rain())):
         over = shown(renderer, scene, rainfall, view(1.2), StillScene())
         assert np.array_equal(over, shown(renderer, scene, rainfall, view(1.2)))
     assert renderer.backdrops == []

@@ -365,6 +365,8 @@ def rain_properties_panel(document: Document, viewport: ViewportState, playback:
     per_km = 1000 * (state.extinction_per_m - state.fog_extinction_per_m)
     help_text = "Of light, by the drops: (pi/4) Q N E[D^2], times the haze gain."
     rows.append(("Rain extinction", f"{per_km:.3f} /km", help_text))
+    help_text = "Extinction of as much rain with the drops of Marshall and Palmer (1948)."
+    rows.append(("Marshall-Palmer's", f"{1000 * state.marshall_palmer_extinction_per_m:.3f} /km", help_text))
     has_fog = state.fog_extinction_per_m > 0
     if has_fog:
         help_text = "Of light, by the fog: 3.0 / visibility."

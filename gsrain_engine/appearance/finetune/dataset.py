@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import cv2
 import numpy as np
 from jaxtyping import Float32, Int8
-from msgspec import Meta, Struct
+from msgspec import Meta
 from PIL import Image
 
 from ...datasets.capture import CaptureError, CaptureFrame, readable_images
@@ -19,6 +19,7 @@ from ...datasets.rainsense import RAIN, SEPARATE_SEQUENCES
 from ...datasets.undistort import undistort_frame
 from ...safe_io.limits import open_file
 from ...scene.files import whole_file
+from ...settings import Settings
 from ..normals import NormalEstimator, normals_from_depth, normals_to_gray, open_estimator
 
 _Guide = Callable[[CaptureFrame], Float32[np.ndarray, "_ _"] | None]
@@ -90,7 +91,7 @@ def identity_of(pictures: UnpairedImages) -> str:
 # Image settings, part of the training's YAML file
 
 
-class ImageSource(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class ImageSource(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Images of one data set, filtered by its own weather labels."""
 
     # fmt: off
@@ -105,7 +106,7 @@ class ImageSource(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     # fmt: on
 
 
-class ImageSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class ImageSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Two unpaired sets of images, their framing, and the guide for the encoder's fourth channel."""
 
     # fmt: off

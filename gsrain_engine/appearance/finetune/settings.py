@@ -5,10 +5,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from msgspec import Meta, Struct
+import msgspec
+from msgspec import Meta
 
 from ...presets import load_values, shipped_config_names
 from ...safe_io.errors import convert_checked
+from ...settings import Settings
 from ..cyclegan_turbo.weight_paths import data_folder, hub_snapshots
 from ..dsine_checkout import check_checkout, checkout_code
 from .dataset import ImageSettings
@@ -16,7 +18,7 @@ from .dataset import ImageSettings
 Weight = Annotated[float, Meta(ge=0, le=100)]
 
 
-class LossWeights(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class LossWeights(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Loss weights: the paper's three; those of LPIPS, which it doesn't give, are CycleGAN-Turbo's."""
 
     # fmt: off
@@ -33,7 +35,7 @@ class LossWeights(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     # fmt: on
 
 
-class OptimizerSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class OptimizerSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """AdamW (Loshchilov and Hutter 2019) for the generator and the discriminators."""
 
     # fmt: off
@@ -57,7 +59,7 @@ class OptimizerSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields
     # fmt: on
 
 
-class LoraSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class LoraSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """LoRA ranks (Hu et al. 2022)."""
 
     # fmt: off
@@ -68,7 +70,7 @@ class LoraSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     # fmt: on
 
 
-class FinetuningSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class FinetuningSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Settings of a fine-tuning. The defaults are the paper's recipe; batches hold one image of each look."""
 
     # fmt: off
@@ -123,14 +125,14 @@ class FinetuningSettings(Struct, frozen=True, kw_only=True, forbid_unknown_field
 # Task and result, as plain values
 
 
-class FinetuneTask(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class FinetuneTask(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Fine-tuning job; picklable for a worker process."""
 
     settings: FinetuningSettings
     output: Path
     resume: bool = False
     """Continue from the folder's checkpoint."""
-    code: dict[str, str] = {}
+    code: dict[str, str] = msgspec.field(default_factory=dict)
     """Digests of Python code that the settings name and the user has allowed, by path."""
 
     @property

@@ -2,10 +2,12 @@
 
 from typing import Annotated
 
-from msgspec import Meta, Struct
+from msgspec import Meta
+
+from ...settings import Settings
 
 
-class WetSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class WetSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Parameters of the wet look. The default is steady rain at noon."""
 
     wetness: Annotated[float, Meta(ge=0, le=1, title="Wetness")] = 1.0

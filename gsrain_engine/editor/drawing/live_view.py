@@ -3,7 +3,7 @@
 import logging
 import math
 import time
-from collections.abc import Callable, Generator, Hashable, Iterable, Iterator
+from collections.abc import Callable, Generator, Hashable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Literal
@@ -25,7 +25,7 @@ from ...render.opengl.buffers import GpuArrays
 from ...render.opengl.context import check_context
 from ...render.opengl.renderer import Screen, SplatRenderer
 from ...render.passes.glass import ego_motion
-from ...render.renderer import Color, Picture, Renderer, RenderMode
+from ...render.renderer import Color, DrawnPicture, Renderer, RenderMode, timed
 from ...render.sky_color import SkyColor, sample_sky
 from ...render.still_scene import StillScene
 from ...scene.camera import Camera
@@ -159,10 +159,16 @@ class LiveView:
         drawn = [self._draw_pane(frame, side, pane, sky) for side, pane in zip(frame.panes, panes, strict=True)]
         if self._cpu is not None and (drawn[-1] or not self._can_draw) and frame.scene.gaussian_count:
             self._cpu.compile()  # after the first image, which compiling would delay
+        rows_ms = dict[str, float]()
         if any(drawn):
-            self._finish()
+            with timed(rows_ms, "show"):
+                self._finish()
+        for pane, is_drawn in zip(panes, drawn, strict=True):
+            for row, milliseconds in (pane.rows_ms if is_drawn else {}).items():
+                rows_ms[row] = rows_ms.get(row, 0.0) + milliseconds
         if drawn[-1]:
-            result.drawn = self._measured(frame, 1000 * (time.perf_counter() - started) - self._shared_ms(frame, panes))
+            milliseconds = 1000 * (time.perf_counter() - started) - self._shared_ms(frame, panes)
+            result.drawn = self._measured(frame, milliseconds, rows_ms)
         if frame.screenshot is not None:
             self._save_screenshot(frame.screenshot, frame.divider, result)
             result.has_screenshot = True
@@ -217,7 +223,7 @@ class LiveView:
     def _renderer(self) -> Renderer:
         return self._cpu.renderer if self._cpu is not None and self._on_cpu else self._opengl
 
-    def _texture(self, picture: Picture, camera: Hashable, background: Color) -> moderngl.Texture:
+    def _texture(self, picture: DrawnPicture, camera: Hashable, background: Color) -> moderngl.Texture:
         """Texture of a picture that was just drawn; of one behind glass, that of its camera."""
         if not picture.filters:
             return self._cpu.upload() if self._cpu is not None and self._on_cpu else self._opengl.picture
@@ -292,8 +298,10 @@ class LiveView:
         with self._interruptible(), nullcontext() if is_alone else half_of_cores():
             picture = draw(self._renderer, whole)
         sharpness = SHARPNESS if quality.scale < 1 else 0.0
-        texture = self._texture(picture, name, frame.background)
-        pane.texture = pane.screen.show(texture, frame.background, 2.0**frame.gain_ev, sharpness)
+        with timed(picture.passes_ms, "show"):
+            texture = self._texture(picture, name, frame.background)
+            pane.texture = pane.screen.show(texture, frame.background, 2.0**frame.gain_ev, sharpness)
+        pane.rows_ms = picture.rows_ms
         pane.state, pane.scene = state, scene
         return True
 
@@ -341,12 +349,12 @@ class LiveView:
         before, self._has_built = self._has_built, built_ms > 0
         return 0.0 if before else built_ms
 
-    def _measured(self, frame: RenderInput, milliseconds: float) -> DrawnImage:
+    def _measured(self, frame: RenderInput, milliseconds: float, rows_ms: Mapping[str, float]) -> DrawnImage:
         statistics, camera = self._renderer.statistics, frame.view.camera
         figures = {
             "frame ms": milliseconds,
             "megapixels": 1e-6 * camera.width * camera.height,
-            **{f"{stage} ms": value for stage, value in statistics.stages_ms.items()},
+            **{f"{row} ms": value for row, value in rows_ms.items()},
             "Gaussians": statistics.gaussians,
             "splats drawn": statistics.splats_drawn,
             "drops drawn": statistics.drops_drawn,
@@ -411,6 +419,8 @@ class _PaneImage:
         self.scene: Scene | None = None
         self.reuse = MirrorReuse(_MIRROR_EVERY)
         self.still = StillScene()
+        self.rows_ms: dict[str, float] = {}
+        """Time of each row of *Statistics* in its last picture."""
 
 
 def _fingerprint(frame: RenderInput, scene: Scene, rainfall: RainSimulation, sky: SkyLight) -> Hashable:

@@ -249,8 +249,8 @@ def compile_kernels() -> None:
     average_below(tree, many.sh)
     cut_lod_tree(tree, camera, np.eye(4))
     view = RainCamera(camera, np.eye(4), np.zeros(3))
-    for mixing in ("linear", "display"):
-        rain = RainSettings(intensity_mm_h=1.0, rain_light=mixing)
+    for model in ("physical", "paper"):
+        rain = RainSettings(intensity_mm_h=1.0, model=model)
         renderer.draw(parts, camera, RainSimulation.start(rain).frame(0.0, view))
     _draw_water(renderer)
     sort_into_lod_order(one)

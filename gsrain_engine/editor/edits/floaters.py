@@ -4,7 +4,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Annotated
 
-import msgspec
 import numpy as np
 import scipy
 from jaxtyping import Bool, Float32, Float64
@@ -14,12 +13,13 @@ from ...scene.flags import BitMask
 from ...scene.gaussians import Gaussians
 from ...scene.progress import Progress
 from ...scene.scene import Actor, Layer, Scene, core_bounds
+from ...settings import Settings
 from .members import edit_members, is_editable
 
 _BATCH_SIZE = 20_000  # number of Gaussians in a neighbor query between two chances to cancel
 
 
-class FloaterRules(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class FloaterRules(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Criteria for floaters; a Gaussian that meets any enabled one is a floater."""
 
     opacity_below: Annotated[

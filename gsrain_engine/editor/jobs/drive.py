@@ -19,6 +19,7 @@ from ...scene.formats.scene_folder import FileCache
 from ...scene.open import load_sorted_scene
 from ...scene.progress import Progress
 from ...scene.scene import Scene
+from ...settings import Settings
 from ...simulation.agents.base import Observation, SensorRequirements
 from ...simulation.agents.registry import AgentOptions, open_agent
 from ...simulation.metrics.collisions import gaps_m, times_to_collision_s
@@ -118,7 +119,7 @@ def load_rollout(path: Path, *, is_own: bool = True) -> LoadedRollout:
 RainSource = Literal["as the scene", "one intensity", "paper's four"]
 
 
-class DriveSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class DriveSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Settings of a drive except for the scenario, whose rain is not used: the drive uses the document's rain."""
 
     agent: Annotated[str, Meta(title="Agent", description="The driving agent.")]

@@ -1,14 +1,16 @@
 """Factors of rain, which an attribution switches: what switches each off; rain, scene and friction of a coalition."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 from msgspec import structs
 
 from ...rain.settings import RainSettings
 from ...rain.wetness import OVERCAST_MM_H, wetness
+from ...render.passes import registry
+from ...render.passes.base import Factor
 from ...scene.open import is_built_in_street
 from .shapley import Coalition, coalitions_of
 
@@ -18,45 +20,30 @@ ALL, NO_FACTORS = "all", "none"
 """Words for all factors that a rain has, and for no attribution."""
 
 
-@dataclass(frozen=True)
-class Factor:
-    """One part of what rain does to a picture or a drive."""
-
-    name: str
-    title: str
-    off: Mapping[str, Any] = field(default_factory=dict[str, Any])
-    """Settings of the rain that switch it off; none for the light, which belongs to the scene, and for friction, which
-    belongs to the drive."""
-    on: Mapping[str, Any] = field(default_factory=dict[str, Any])
-    """Settings that switch it on in a rain that lacks it."""
-
-    def __post_init__(self) -> None:
-        if unknown := {*self.off, *self.on} - set(RainSettings.__struct_fields__):
-            raise ValueError(f"factor {self.name}: rain has no setting {', '.join(sorted(unknown))}")
-
-
 LIGHT = "light"
 WET = "wet"
 FRICTION = "friction"
 
-FACTORS = (
-    # Without streaks, the medium must not take their place: together they extinguish what all drops do.
-    Factor("streaks", "streaks", {"streak_gain": 0.0}, {"streaks": True, "streak_gain": 1.0}),
-    Factor("medium", "medium", {"haze": "none", "visibility_m": None}, {"haze": "medium"}),
-    Factor(LIGHT, "overcast light"),
-    Factor(WET, "wet look", {"wetness": 0.0}, {"wetness": None}),
-    Factor("mirror", "mirror", {"mirror": False}, {"mirror": True}),
-    Factor("splashes", "splashes and rings", {"splashes": False}, {"splashes": True}),
-    Factor("spray", "spray", {"spray": False}, {"spray": True}),
-    Factor("glass", "glass", {"glass": "none"}, {"glass": "windshield"}),
-    Factor(FRICTION, "wet friction"),
-)
-"""All factors, in the order of tables and figures."""
+_LIGHT = Factor(LIGHT, "overcast light", needs_wet_ground=True)
+_WET = Factor(WET, "wet look", {"wetness": 0.0}, {"wetness": None}, needs_wet_ground=True)
+_FRICTION = Factor(FRICTION, "wet friction")
 
-_BY_NAME = {each.name: each for each in FACTORS}
 
-ON_WET_GROUND = frozenset({LIGHT, WET, "mirror", "splashes", "spray"})
-"""Factors that need a wet scene; light is of one, too, as both have one set of colors but on the street."""
+def factors() -> dict[str, Factor]:
+    """All factors by name, in the order of tables and figures: those of passes, of the scene's colors and of a drive.
+
+    What needs wet ground comes after it; light does, too, as both have one set of colors but on the street.
+    """
+    of_passes = [each.factor for each in registry.PASSES if each.factor is not None]
+    in_air = [each for each in of_passes if not each.needs_wet_ground and each.name != "glass"]
+    last = [each for each in of_passes if each not in in_air]
+    return {each.name: each for each in (*in_air, _LIGHT, _WET, *last, _FRICTION)}
+
+
+def on_wet_ground() -> frozenset[str]:
+    """Names of the factors that need a wet scene."""
+    return frozenset(name for name, each in factors().items() if each.needs_wet_ground)
+
 
 _OVERCAST_TWINS = {None: "street:overcast", "street": "street:overcast"}
 """Scenes by name of which another has the light of rain without its water."""
@@ -64,11 +51,11 @@ _OVERCAST_TWINS = {None: "street:overcast", "street": "street:overcast"}
 
 def factor_names(*, of_drives: bool = True) -> tuple[str, ...]:
     """Names of all factors, or of those that pictures have."""
-    return tuple(name for name in _BY_NAME if of_drives or name != FRICTION)
+    return tuple(name for name in factors() if of_drives or name != FRICTION)
 
 
 def title_of(name: str) -> str:
-    return _BY_NAME[name].title
+    return factors()[name].title
 
 
 def overcast_twin(scene: str | None) -> str | None:
@@ -87,9 +74,9 @@ def is_attributed(names: Sequence[str]) -> bool:
 def check_factors(names: Sequence[str]) -> None:
     """Raise ValueError for an unknown factor, or one that has no effect or no share of its own without another."""
     for name in names:
-        if name != ALL and name not in _BY_NAME:
-            raise ValueError(f"attribute {name}: expected {ALL}, or some of {', '.join(_BY_NAME)}")
-        if name in ON_WET_GROUND and not {WET, ALL} & set(names):
+        if name != ALL and name not in factors():
+            raise ValueError(f"attribute {name}: expected {ALL}, or some of {', '.join(factors())}")
+        if name in on_wet_ground() and not {WET, ALL} & set(names):
             raise ValueError(f"attribute {name}: has a share only next to {WET}; name that, too")
 
 
@@ -124,9 +111,9 @@ class RainFactors:
         check_factors(names)
         twin, chosen = overcast_twin(scene), set(names)
         if ALL in chosen:
-            chosen |= {each.name for each in FACTORS if each.name == LIGHT or _is_on(each, rain)}
+            chosen |= {each.name for each in factors().values() if each.name == LIGHT or _is_on(each, rain)}
             chosen |= {FRICTION} if friction == "wet" else set()
-        for each in FACTORS:
+        for each in factors().values():
             if each.name not in chosen and _is_on(each, rain):
                 rain = structs.replace(rain, **each.off)
             elif each.name in names and not _is_on(each, rain):
@@ -141,10 +128,10 @@ class RainFactors:
             friction = "wet" if FRICTION in chosen else "dry"
         is_wet = WET in chosen and WET not in absent
         if not is_wet or (wetness(rain.intensity_mm_h) if rain.wetness is None else rain.wetness) == 0:
-            absent |= ON_WET_GROUND
+            absent |= on_wet_ground()
         elif twin is None or rain.wetness is not None or rain.intensity_mm_h < OVERCAST_MM_H:
             absent.add(LIGHT)
-        return cls(rain, tuple(each.name for each in FACTORS if each.name in chosen - absent), twin, friction)
+        return cls(rain, tuple(name for name in factors() if name in chosen - absent), twin, friction)
 
     @cached_property
     def coalitions(self) -> dict[Coalition, Coalition]:
@@ -154,7 +141,7 @@ class RainFactors:
         """
         light = {LIGHT}.intersection(self.names)
         return {
-            present: present | light if WET in present else present - (ON_WET_GROUND - {LIGHT})
+            present: present | light if WET in present else present - (on_wet_ground() - {LIGHT})
             for present in coalitions_of(self.names)
         }
 
@@ -170,9 +157,10 @@ class RainFactors:
         rain = self.rain
         for each in self.names:
             if each not in present:
-                rain = structs.replace(rain, **_BY_NAME[each].off)
+                rain = structs.replace(rain, **factors()[each].off)
+        without = frozenset(name for name, each in factors().items() if _is_pass_alone(each)) - present
         friction: Friction | None = self.friction if FRICTION in present or self.friction is None else "dry"
-        return CoalitionWeather(rain, LIGHT in present and WET not in present, friction)
+        return CoalitionWeather(rain, LIGHT in present and WET not in present, friction, without)
 
 
 class CoalitionWeather(NamedTuple):
@@ -181,6 +169,8 @@ class CoalitionWeather(NamedTuple):
     rain: RainSettings
     in_twin: bool
     friction: Friction | None = None
+    without: frozenset[str] = frozenset()
+    """Passes that are left out by their names, as no setting does."""
 
 
 def clear_rain(rain: RainSettings) -> RainSettings:
@@ -188,6 +178,13 @@ def clear_rain(rain: RainSettings) -> RainSettings:
     return structs.replace(rain.without_rain, glass="none")
 
 
+def _is_pass_alone(factor: Factor) -> bool:
+    """Return whether a factor is a pass that no setting switches off."""
+    return not factor.off and any(each.name == factor.name for each in registry.PASSES)
+
+
 def _is_on(factor: Factor, rain: RainSettings) -> bool:
+    if _is_pass_alone(factor):
+        return True
     is_on = any(getattr(rain, name) != value for name, value in factor.off.items())
     return is_on and (factor.name != "streaks" or rain.streaks)

@@ -23,7 +23,7 @@ from ...report.table import Table, columns
 from ...safe_io.text_files import figure_words
 from ...scene.scene import Scene
 from ...water.spray import has_fast_vehicles
-from ..attribution.factors import ON_WET_GROUND, RainFactors, factor_names, title_of
+from ..attribution.factors import RainFactors, factor_names, on_wet_ground, title_of
 from ..attribution.results import Attribution, Measure, attributions
 from ..attribution.shapley import Coalition
 from .figures import figure_pixels
@@ -76,7 +76,7 @@ class RainAttribution:
             if name:
                 weather = self.factors.weather(present)
                 place = twin if weather.in_twin and twin is not None else own
-                found[name] = place._replace(rain=weather.rain)
+                found[name] = place._replace(rain=weather.rain, without=weather.without)
         return found
 
     def attributed(self, results: Sequence[DetectionResult]) -> list[Attribution]:
@@ -122,7 +122,7 @@ def rain_attributions(
     if in_front:
         lacking = set(factor_names()) - {"streaks", "medium", "glass"}
     elif not scene.has_wet_colors:
-        lacking = set(ON_WET_GROUND)
+        lacking = set(on_wet_ground())
     else:
         lacking = {"mirror"} if scene.water is None else set()
         lacking |= set() if has_fast_vehicles(scene) else {"spray"}

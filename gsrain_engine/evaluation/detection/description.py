@@ -9,6 +9,7 @@ from msgspec import Meta
 
 from ...plugins import DECODERS, find_extensions
 from ...presets import load_config, shipped_config_names
+from ...settings import Settings
 
 _FOLDER = "detectors"
 Decode = Literal[
@@ -26,7 +27,7 @@ Fraction = Annotated[float, Meta(ge=0, le=1)]
 Deviation = Annotated[float, Meta(gt=0)]
 
 
-class DetectorDescription(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class DetectorDescription(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Input preprocessing and output format of a detector."""
 
     decode: Annotated[
@@ -73,7 +74,7 @@ class DetectorDescription(msgspec.Struct, frozen=True, kw_only=True, forbid_unkn
             description="What each input gets, by its name: picture; width_height or height_width of the network's "
             "input in pixels; ones. Left out: by common names.",
         ),
-    ] = {}
+    ] = msgspec.field(default_factory=dict)
     outputs: Annotated[
         dict[TensorName, OutputRole],
         Meta(
@@ -81,7 +82,7 @@ class DetectorDescription(msgspec.Struct, frozen=True, kw_only=True, forbid_unkn
             description="What each used output holds, by its name: rows of everything; or boxes, scores, classes and "
             "their count. Left out: by common names, or the first one.",
         ),
-    ] = {}
+    ] = msgspec.field(default_factory=dict)
     input_size_px: Annotated[
         tuple[Size, Size] | None,
         Meta(title="Input", description="Width and height; left out: those the ONNX file fixes.", extra={"unit": "px"}),
@@ -135,6 +136,7 @@ class DetectorDescription(msgspec.Struct, frozen=True, kw_only=True, forbid_unkn
     most_detections: Annotated[int, Meta(ge=1, le=10_000, title="Most detections a picture")] = 300
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.decode not in decode_names():
             raise ValueError(f"{self.decode!r} is none of {', '.join(decode_names())} - at `$.decode`")
         if not set(_BOX_COLUMNS) <= set(self.columns) or len(set(self.columns)) < len(self.columns):

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import UInt8
 from msgspec import structs
 
-from ...appearance.capture_photos import CapturePhotos
+from ...appearance.capture_photos import CapturePhotos, as_copied
 from ...appearance.scene_views import PlacedCamera
 from ...datasets.capture import Capture, CaptureFrame
 from ...datasets.undistort import undistort_frame
@@ -21,6 +21,7 @@ from ...rain.simulation import RainSimulation
 from ...render.draw import draw, meter
 from ...render.frame_input import CameraMemory, FrameInput, Mount
 from ...render.passes.glass import ego_motion
+from ...render.provenance import PictureProvenance, provenance_of
 from ...render.renderer import Renderer
 from ...render.sky_color import SkyColor
 from ...render.view import RenderView, ego_view
@@ -71,6 +72,8 @@ class RainVariant(NamedTuple):
     rain: RainSettings
     scene: Scene
     sky: SkyColor
+    without: frozenset[str] = frozenset()
+    """Passes that are left out."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,12 +150,15 @@ class ConditionRenderer:
         if trial.kind == "original":
             assert frame.original is not None
             return frame.original()
-        rainfall = self._rainfall(trial)
-        if self.photos is not None:
-            assert frame.recorded is not None
-            rainy = draw(self.renderer, self.photos.frame(frame.recorded, rainfall)).read_uint8()
-            return undistort_frame(replace(frame.recorded, image_source=rainy), frame.shot.camera.width).image
-        return self._drawn(frame, rainfall, self._variant(trial), is_clear=trial.kind == "clear")
+        picture = draw(self.renderer, self.frame_input(frame, trial)).read_uint8()
+        if frame.recorded is None or self.photos is None:
+            return picture
+        copied = as_copied(frame.recorded, picture)
+        return undistort_frame(replace(frame.recorded, image_source=copied), frame.shot.camera.width).image
+
+    def provenance(self, frame: EvaluatedFrame, intensity_mm_h: float) -> PictureProvenance:
+        """Return what the picture of a view in rain of the first seed holds."""
+        return provenance_of(self.frame_input(frame, Condition("rainy", intensity_mm_h, (0,))))
 
     def _variant(self, trial: Condition) -> RainVariant:
         return self.variants[trial.variant] if trial.variant else RainVariant(self.rain, self.scene, self.sky)
@@ -166,15 +172,19 @@ class ConditionRenderer:
             self._rains[key] = RainSimulation.start(rain)
         return self._rains[key]
 
-    def _drawn(
-        self, frame: EvaluatedFrame, rainfall: RainSimulation, variant: RainVariant, *, is_clear: bool
-    ) -> UInt8[np.ndarray, "h w 3"]:
+    def frame_input(self, frame: EvaluatedFrame, trial: Condition) -> FrameInput:
+        """Return what the picture of a view in a weather holds: of the scene, or of the photograph as recorded."""
+        rainfall, variant = self._rainfall(trial), self._variant(trial)
+        if self.photos is not None:
+            assert frame.recorded is not None
+            return self.photos.frame(frame.recorded, rainfall)
         past = ego_motion(self.scene, frame.shot)
         mount = Mount(self._memory, frame.name, past.motion, past.camera_to_ego)
         meter(self.renderer, FrameInput.of(self.scene, rainfall, self.sky, frame.shot, mount=mount))  # same for all
-        scene, sky = variant.scene, variant.sky
-        drawn = FrameInput.of(scene, rainfall, sky, frame.shot, is_clear=is_clear, mount=mount)
-        return draw(self.renderer, drawn).read_uint8()
+        is_clear = trial.kind == "clear"
+        return FrameInput.of(
+            variant.scene, rainfall, variant.sky, frame.shot, is_clear=is_clear, without=variant.without, mount=mount
+        )
 
 
 _MAX_RAINS = 256  # number of rains kept ready

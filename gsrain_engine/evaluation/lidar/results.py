@@ -98,20 +98,15 @@ class RainRun:
 
 def rain_runs(
     turn: LidarTurn,
+    settings: RainSettings,
     intensities_mm_h: Sequence[float],
     seeds: Sequence[int],
     *,
     answer: Answer,
     wet_road: bool,
-    visibility_m: float | None = None,
-    spray: bool = True,
 ) -> Iterator[RainRun]:
-    """Simulate rain, and fog of a visibility, on a turn: all seeds of the first rain rate, then of the next.
-
-    With `spray` that of the scene's vehicles, too, on a wet road.
-    """
+    """Simulate rain, fog and spray of these settings on a turn: all seeds of the first rain rate, then of the next."""
     beams, sensor = turn.beams, turn.sensor
-    settings = RainSettings(visibility_m=visibility_m, spray=spray and wet_road)
     rains = [msgspec.structs.replace(settings, intensity_mm_h=each) for each in intensities_mm_h]
     states = [RainSimulation.start(rain).state for rain in rains]
     reach_m = max(_MIN_NEAR_M, *(DropReturnModel(sensor, state).reach_m for state in states))

@@ -3,18 +3,17 @@
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
 
-import msgspec
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64
 from msgspec import Meta
 
+from ...settings import Settings
+
 STATED_REFLECTANCE = 0.1
 """Makers state the range at which a matt surface of this reflectance is just detected at normal incidence."""
 
-_STEEPEST_DEG = 60.0
 
-
-class LidarSensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class LidarSensor(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A pulsed lidar. Power is relative to the detection threshold, without absolute units.
 
     A surface that fills the beam returns P = P0 rho cos / r^2 exp(-2 beta r) (the lidar equation; Rasshofer, Spies and
@@ -22,7 +21,7 @@ class LidarSensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     """
 
     name: str
-    elevations_deg: Annotated[tuple[float, ...], Meta(min_length=1, title="Elevations")]
+    elevations_deg: Annotated[tuple[Annotated[float, Meta(ge=-60, le=60)], ...], Meta(min_length=1, title="Elevations")]
     """Of each ring of beams, upward; required for virtual scans."""
     azimuth_step_deg: Annotated[float, Meta(ge=0.02, le=10, title="Azimuth step", extra={"unit": "deg"})] = 0.2
     azimuth_limit_deg: Annotated[float, Meta(gt=0, le=180, title="Azimuth to either side", extra={"unit": "deg"})] = 180
@@ -53,8 +52,7 @@ class LidarSensor(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     """Standard deviation of the range of an echo at the detection threshold."""
 
     def __post_init__(self) -> None:
-        if not all(-_STEEPEST_DEG <= each <= _STEEPEST_DEG for each in self.elevations_deg):
-            raise ValueError(f"elevations_deg must be within -{_STEEPEST_DEG:g}..{_STEEPEST_DEG:g}")
+        super().__post_init__()
         if self.clear_m < self.blind_m:
             raise ValueError(f"clear_m must be at least blind_m, got {self.clear_m} and {self.blind_m}")
 

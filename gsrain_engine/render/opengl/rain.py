@@ -59,10 +59,10 @@ class RainPass:
             self._streaks({**store.switches, **({} if lit is None else {"LAMPS": 1})}), field.shutter, field.rain
         )  # fmt: skip
         camera = shutter.camera
-        seen_from = np.zeros(3) if rain.streak_frame == "world" else field.axes.T @ shutter.velocity_m_s
+        seen_from = np.zeros(3) if rain.is_paper else field.axes.T @ shutter.velocity_m_s
         self._set_field(shader, field)
         shader.set(exposure=shutter.exposure_s, shutter_velocity=tuple(seen_from),
-            still_camera=rain.streak_frame == "world", focal=shutter.focal_px,
+            still_camera=rain.is_paper, focal=shutter.focal_px,
             phi=rain.critical_haze_coefficient, haze_opacity=rain.haze_opacity, gain=rain.streak_gain,
             aperture=shutter.lens.aperture_m, focus=shutter.lens.focus_m, scan=tuple(shutter.readout),
             max_copies=rain.max_copies,

@@ -28,6 +28,7 @@ from ..renderer import (
     PendingImage,
     RenderMode,
     RenderStatistics,
+    timed,
 )
 from .buffers import GpuArrays, GrowableBuffer, Harmonics, ProjectedSplatBuffer, check_gpu_memory
 from .context import check_context, is_software
@@ -182,12 +183,14 @@ class SplatRenderer:
         if not (camera.is_pinhole or self.draws_lenses):
             raise ValueError("opengl-quads draws pinhole cameras with a global shutter; choose cpu or opengl-tiles")
         with self._active:
-            light = None
+            light, films_ms = None, dict[str, float]()
             if mirror is not None:
-                self._draw(film_items(parts), camera)
-                self._complete()
-                light = self._uploaded(mirror.reflected(self._fetch(self.picture)[..., :2]))
+                with timed(films_ms, "mirror"):
+                    self._draw(film_items(parts), camera)
+                    self._complete()
+                    light = self._uploaded(mirror.reflected(self._fetch(self.picture)[..., :2]))
             self._draw(parts, camera, rain, with_depth=with_depth, look=look, mirrored=light)
+            (self._drawn or self.statistics).stages_ms |= films_ms
             self.arrays.release_unused()
 
     def _draw(

@@ -1,27 +1,28 @@
 """A pass of a picture, and the parts that passes add to it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import UInt8
 
 from ...rain.frame import RainFrame
+from ...rain.settings import RainSettings
 from ...scene.scene import DrawItem
 from ...water.mirror import LensMirror, Mirror
 from ...water.rings import RingWaves
 from ..frame_input import FrameInput
-from ..renderer import Frame, Picture, PictureFilter, Renderer
+from ..renderer import DrawnPicture, Frame, PictureFilter, Renderer
 from ..still_scene import StillScene
 
 
 @dataclass(slots=True, eq=False)
 class FrameParts:
-    """What the passes of a picture have added: the renderer draws it as one depth-ordered compositing."""
+    """Parts that the passes of a picture have added: the renderer draws it as one depth-ordered compositing."""
 
     renderer: Renderer
-    draw: Callable[[FrameInput], Picture]
+    draw: Callable[[FrameInput], DrawnPicture]
     """Draws another picture by the same renderer, such as what a mirror shows."""
     items: list[DrawItem] = field(default_factory=list[DrawItem])
     whole: list[DrawItem] = field(default_factory=list[DrawItem])
@@ -35,17 +36,39 @@ class FrameParts:
     waves: RingWaves | None = None
     mirror: Mirror | LensMirror | None = None
     filters: list[PictureFilter] = field(default_factory=list[PictureFilter])
-    """What acts on the drawn picture, in this order."""
+    """Effects on the drawn picture, in this order."""
     compose: Callable[[Frame], UInt8[np.ndarray, "h w 3"]] | None = None
     """Puts what was drawn before a photograph."""
 
 
+@dataclass(frozen=True)
+class Factor:
+    """One part of what rain does to a picture or a drive, which an attribution switches."""
+
+    name: str
+    title: str
+    off: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    """Settings of the rain that switch it off; a pass without any is left out by its name."""
+    on: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    """Settings that switch it on in a rain that lacks it."""
+    needs_wet_ground: bool = False
+
+    def __post_init__(self) -> None:
+        if unknown := {*self.off, *self.on} - set(RainSettings.__struct_fields__):
+            raise ValueError(f"factor {self.name}: rain has no setting {', '.join(sorted(unknown))}")
+
+
 @runtime_checkable
 class Pass(Protocol):
-    """An effect of a picture. Its time is a row of *Statistics*, and its name that of the factor of an attribution."""
+    """An effect of a picture. Its time is a row of *Statistics*."""
 
     @property
     def name(self) -> str: ...
+
+    @property
+    def factor(self) -> Factor | None:
+        """Factor of an attribution; None for what is no effect of rain, or part of another one."""
+        ...
 
     def active(self, frame: FrameInput) -> bool:
         """Return whether the picture has this effect."""

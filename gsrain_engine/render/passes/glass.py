@@ -21,7 +21,7 @@ from ..level_of_detail import LodSample
 from ..photograph import widened
 from ..renderer import PictureFilter
 from ..view import RenderView, ego_view
-from .base import FrameParts
+from .base import Factor, FrameParts
 
 WIDE_SHARE = 1 / 32
 """Share of the Gaussians in the wide view behind the glass (docs/physics.md, section 18)."""
@@ -38,6 +38,7 @@ class Glass:
     """Wet glass of each camera, dry where nothing falls. The view behind its drops is drawn before the picture."""
 
     name = "glass"
+    factor = Factor(name, "glass", {"glass": "none"}, {"glass": "windshield"})
 
     def active(self, frame: FrameInput) -> bool:
         return frame.is_image and pane_in_front(frame) is not None

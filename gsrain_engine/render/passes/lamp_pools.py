@@ -40,7 +40,7 @@ _GROUND_ALBEDO, _WET_ALBEDO = 0.075, 0.022
 class LampPools:
     """Light of the lamps on the ground, in scenes with level ground."""
 
-    name = "lamp pools"
+    name, factor = "lamp pools", None
 
     def active(self, frame: FrameInput) -> bool:
         has_ground = frame.scene.ground_m is not None and not frame.is_photograph

@@ -25,7 +25,7 @@ from ...water.rings import RingWaves
 from ..frame_input import FrameInput
 from ..level_of_detail import LodCut, subset_items
 from ..renderer import Color, Renderer
-from .base import FrameParts
+from .base import Factor, FrameParts
 
 SHARE, FAST_SHARE = 0.35, 0.12
 """Shares of the Gaussians of a member in the mirror image, which has an eighth of the picture's resolution: of pictures
@@ -37,6 +37,7 @@ class MirrorPass:
     """Mirror image of the scene in films and standing water, in scenes with a map of that water."""
 
     name = "mirror"
+    factor = Factor(name, "mirror", {"mirror": False}, {"mirror": True}, needs_wet_ground=True)
 
     def active(self, frame: FrameInput) -> bool:
         return frame.reflecting_ground is not None

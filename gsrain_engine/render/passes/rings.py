@@ -15,7 +15,7 @@ from .base import FrameParts
 class Rings:
     """Rings in the water before the camera, which blur what its mirror shows."""
 
-    name = "rings"
+    name, factor = "rings", None  # a part of splashes
 
     def active(self, frame: FrameInput) -> bool:
         return frame.reflecting_ground is not None

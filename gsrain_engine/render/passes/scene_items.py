@@ -17,7 +17,7 @@ from .base import FrameParts
 class SceneItems:
     """Gaussians of layers and actors, or the photograph in their place."""
 
-    name = "scene"
+    name, factor = "scene", None
 
     def active(self, frame: FrameInput) -> bool:
         return True

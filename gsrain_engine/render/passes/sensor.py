@@ -4,14 +4,14 @@ from collections.abc import Callable
 
 from ..camera_response import CameraResponse, metered_gain
 from ..frame_input import FrameInput, Quality
-from ..renderer import Picture, PictureFilter
+from ..renderer import DrawnPicture, PictureFilter
 from .base import FrameParts
 
 
 class SensorPass:
     """Response of a sensor to the picture. A photograph has been through its own."""
 
-    name = "sensor"
+    name, factor = "sensor", None
 
     def active(self, frame: FrameInput) -> bool:
         has_sensor = frame.simulation is not None and frame.simulation.picture_sensor is not None
@@ -26,7 +26,7 @@ class SensorPass:
         parts.filters.append(PictureFilter(self.name, response.picture))
 
 
-def metered(frame: FrameInput, draw: Callable[[FrameInput], Picture]) -> float:
+def metered(frame: FrameInput, draw: Callable[[FrameInput], DrawnPicture]) -> float:
     """Gain of automatic exposure, which is metered in the clear scene: rain does not change it. 1 without a sensor.
 
     It is metered once for each camera.

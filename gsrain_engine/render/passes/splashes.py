@@ -13,13 +13,14 @@ from ...water.films import WaterFilms
 from ...water.leveled_ground import leveled_view
 from ...water.splashes import Splashes
 from ..frame_input import FrameInput
-from .base import FrameParts
+from .base import Factor, FrameParts
 
 
 class SplashPass:
     """Splashes near the camera, where a scene has wet colors and ground of a known height."""
 
     name = "splashes"
+    factor = Factor(name, "splashes and rings", {"splashes": False}, {"splashes": True}, needs_wet_ground=True)
 
     def active(self, frame: FrameInput) -> bool:
         rainfall = frame.rainfall

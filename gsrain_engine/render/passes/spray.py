@@ -5,13 +5,14 @@ import numpy as np
 from ...scene.scene import DrawItem
 from ...water.spray import spray_gaussians, spray_of
 from ..frame_input import FrameInput
-from .base import FrameParts
+from .base import Factor, FrameParts
 
 
 class Spray:
     """Gaussians of the spray that floats at the time of the picture. It has no depth of its own."""
 
     name = "spray"
+    factor = Factor(name, "spray", {"spray": False}, {"spray": True}, needs_wet_ground=True)
 
     def active(self, frame: FrameInput) -> bool:
         return frame.falling is not None and not frame.is_photograph and has_spray(frame)

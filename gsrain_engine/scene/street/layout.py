@@ -5,15 +5,16 @@ from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Annotated, Literal
 
-import msgspec
 import numpy as np
 from msgspec import Meta
+
+from ...settings import Settings
 
 TimeOfDay = Literal["day", "overcast", "dusk", "night"]
 LeadVehicle = Literal["saloon", "truck"]
 
 
-class StreetParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class StreetParameters(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Size and contents of the street. It runs along +x, with the ego lane on the right (y < 0) and z upwards."""
 
     seed: Annotated[int, Meta(ge=0, le=2**31 - 1, title="Seed")] = 7

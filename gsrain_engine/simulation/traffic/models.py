@@ -5,18 +5,16 @@ from dataclasses import replace
 from functools import partial
 from typing import Annotated
 
-import msgspec
 import numpy as np
 from msgspec import Meta
 
 from ...scene.scene import Scene
+from ...settings import Settings
 from .base import Behavior, LanePosition, RoadUser, TrafficState, changed_speed, find_vehicle_ahead, gap_between
 from .tracks import Replay, ScriptedTrack, TimedBehavior
 
 
-class IntelligentDriver(
-    msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="idm"
-):
+class IntelligentDriver(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="idm"):
     """Drives along the route in its own lane by the IDM (Treiber, Hennecke and Helbing 2000).
 
     The defaults are Treiber and Kesting's for city traffic (2013, table 11.2). HUGSIM's are 30 m/s, 5 m, 2 s, 2 m/s2
@@ -52,7 +50,7 @@ class IntelligentDriver(
         return max(rate, -self.most_braking_m_s2)
 
 
-class Triggered(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Triggered(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Trigger of a maneuver: exactly one of three conditions is set."""
 
     after_s: (
@@ -76,6 +74,7 @@ class Triggered(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     ) = None  # fmt: skip
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if sum(each is not None for each in (self.after_s, self.gap_m, self.time_to_collision_s)) != 1:
             raise ValueError("exactly one of `after_s`, `gap_m` and `time_to_collision_s` sets it off")
 
@@ -94,7 +93,7 @@ class Brake(Triggered, frozen=True, kw_only=True, forbid_unknown_fields=True, ta
 
 
 class ConstantVelocity(
-    msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="constant-velocity"
+    Settings, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="constant-velocity"
 ):
     """Drives straight on at its initial speed; 0 m/s stands still."""
 
@@ -102,9 +101,7 @@ class ConstantVelocity(
         return _ConstantVelocityBehavior()
 
 
-class Stationary(
-    msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="stationary"
-):
+class Stationary(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="stationary"):
     """Stands at its initial place, ignoring its speed."""
 
     def begin(self, scene: Scene, start_s: float) -> Behavior:

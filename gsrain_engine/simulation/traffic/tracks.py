@@ -7,13 +7,13 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Annotated
 
-import msgspec
 import numpy as np
 import scipy
 from jaxtyping import Float64
 from msgspec import Meta
 
 from ...scene.scene import Actor, Scene
+from ...settings import Settings
 from ..geometry import wrap_angle
 from ..rollout import Rollout
 from ..rollout_io import read_any_rollout
@@ -60,7 +60,7 @@ class RecordedTrack:
         return None if pose is None else self._scene.scene_to_world @ pose
 
 
-class Replay(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="replay"):
+class Replay(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="replay"):
     """Replays a road user, or the ego vehicle, of a finished drive; linear between steps."""
 
     rollout: Annotated[str, Meta(min_length=1, title="Roll-out", description="A roll-out file (JSON lines).")]
@@ -134,7 +134,7 @@ def _moved(me: RoadUser, moment: Float64[np.ndarray, "5"]) -> RoadUser | None:
 # Scripted tracks
 
 
-class TrackPoint(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class TrackPoint(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A time and a position relative to the initial place."""
 
     time_s: Annotated[
@@ -146,9 +146,7 @@ class TrackPoint(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     ] = 0.0
 
 
-class ScriptedTrack(
-    msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="track"
-):
+class ScriptedTrack(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="track"):
     """Follows the recorded track of an actor, or points with smooth interpolation, then stands.
 
     Between points positions are monotone cubics of time (PCHIP: Fritsch and Butland 1984), so nothing overshoots.
@@ -161,6 +159,7 @@ class ScriptedTrack(
     points: tuple[TrackPoint, ...] = ()
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if (self.actor is None) != bool(self.points):
             raise ValueError("a track is either that of an `actor` or through `points`")
         times = [0.0, *(point.time_s for point in self.points)]

@@ -6,15 +6,15 @@ from msgspec import structs
 
 from gsrain_engine.evaluation.attribution.factors import (
     ALL,
-    FACTORS,
     LIGHT,
     NO_FACTORS,
-    ON_WET_GROUND,
     WET,
     Factor,
     RainFactors,
     clear_rain,
+    factors,
     is_attributed,
+    on_wet_ground,
 )
 from gsrain_engine.evaluation.attribution.shapley import MAX_FACTORS
 from gsrain_engine.rain.frame import RainCamera, SkyLight
@@ -78,12 +78,12 @@ def test_a_list_of_factors_makes_the_rain():
 
 def test_coalitions_switch_the_rest_off():
     found = RainFactors.of(RAIN, (ALL,), "street")
-    assert found.weather(frozenset(found.names)) == (RAIN, False, None)
-    rain, in_twin, _ = found.weather(frozenset({"medium", "light"}))
+    assert found.weather(frozenset(found.names)) == (RAIN, False, None, frozenset())
+    rain, in_twin, _, _ = found.weather(frozenset({"medium", "light"}))
     assert in_twin and rain == structs.replace(
         RAIN, streak_gain=0.0, wetness=0.0, mirror=False, splashes=False, glass="none"
     )
-    rain, in_twin, _ = found.weather(frozenset({"light", "wet", "streaks"}))
+    rain, in_twin, _, _ = found.weather(frozenset({"light", "wet", "streaks"}))
     assert not in_twin and rain.wetness is None and (rain.haze, rain.visibility_m) == ("none", None)
     none = found.weather(frozenset()).rain
     assert none == clear_rain(RAIN) and (none.intensity_mm_h, none.glass, none.visibility_m) == (0.0, "none", None)
@@ -143,7 +143,7 @@ def test_choices_that_make_no_sense():
 def test_rows_name_settings_that_are_there():
     with pytest.raises(ValueError, match="rain has no setting puddles"):
         Factor("puddles", "puddles", {"puddles": False})
-    names = [each.name for each in FACTORS]
+    names = list(factors())
     assert len(names) <= MAX_FACTORS and names.index(LIGHT) < names.index(WET) == min(
-        names.index(each) for each in ON_WET_GROUND - {LIGHT}
+        names.index(each) for each in on_wet_ground() - {LIGHT}
     )  # so that steps add them in order

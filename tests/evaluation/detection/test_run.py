@@ -4,11 +4,14 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 import pytest
+from PIL import Image
 
+from app.main import run
 from boxy_scene import boxy_scene
 from gsrain_engine.appearance.capture_photos import CapturePhotos
 from gsrain_engine.appearance.scene_views import PlacedCamera
 from gsrain_engine.datasets.capture import Capture, CaptureFrame, TrackedBox
+from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.datasets.undistort import undistort_frame
 from gsrain_engine.evaluation.detection.detector import Detection
 from gsrain_engine.evaluation.detection.ground_truth import LabeledObject
@@ -79,6 +82,22 @@ def test_every_rate_has_every_seed(pictures, frame):
     assert len(rows) == len(keys) >= 4
     assert all(row.iou == pytest.approx(1.0) for row in rows)
     assert [len({row.confidence for row in rows if row.intensity_mm_h == rate}) for rate in (0, 12)] == [1, 2]
+
+
+def test_the_picture_of_a_recorded_jpeg_is_that_of_its_rainy_copy(tmp_path):
+    folder, copy = tmp_path / "photos", tmp_path / "copy"
+    folder.mkdir()
+    photo = np.random.default_rng(1).integers(0, 255, (48, 64, 3), np.uint8)
+    Image.fromarray(photo).save(folder / "a.jpg", quality=90)
+    assert run(["export-rain", str(folder), "-o", str(copy), "--rain", "50", "--seed", "2"]) == 0
+    capture = open_capture(folder)
+    photos = CapturePhotos(capture)
+    placed = [PlacedCamera(capture[0].name, capture[0].camera)]
+    (frame,) = recorded_frames(photos.world, placed, capture, {capture[0].name: ()})
+    pictures = ConditionRenderer(CpuRenderer(), photos.world, RainSettings(), SKY, photos)
+    drawn = pictures.take(frame, Condition("rainy", 50.0, (2,)))
+    np.testing.assert_array_equal(drawn, open_capture(copy)[0].image)
+    assert not np.array_equal(drawn, capture[0].image)
 
 
 @pytest.mark.parametrize("width", [64, 32])

@@ -285,7 +285,7 @@ def test_beams_into_the_sky_or_nothing_have_no_echo(scan):
 def test_runs_of_turns_have_a_figure(tmp_path):
     (turn,) = scene_turns(thin_scene(), msgspec.structs.replace(RINGS, range_m=30.0), [0.0])
     np.testing.assert_allclose(turn.beams.origin_m, (0, 0, 1.9))
-    runs = list(rain_runs(turn, (0.0, 50.0), (0, 1), answer="strongest", wet_road=True))
+    runs = list(rain_runs(turn, RainSettings(), (0.0, 50.0), (0, 1), answer="strongest", wet_road=True))
     counts = [run.counts for run in runs]
     assert [(each.state.intensity_mm_h, each.seed) for each in counts] == [(0, 0), (0, 1), (50, 0), (50, 1)]
     assert counts[0].tally.clear.sum() == counts[0].tally.kept.sum() > counts[3].tally.kept.sum()

@@ -17,12 +17,12 @@ from .raster_scenes import at_each_thread_count, drawn, random_gaussians, small_
 LIGHT = np.array([0.6, 0.5, 0.4], np.float32)
 
 
-def drops(mixing: str = "linear", opacity: float = 0.3, seed: int = 9, count: int = 80) -> GivenRain:
+def drops(model: str = "physical", opacity: float = 0.3, seed: int = 9, count: int = 80) -> GivenRain:
     g = random_gaussians(count, seed)
     scales = (g.scales * np.array([0.1, 0.1, 1])).astype(np.float32)
     color = np.tile(linear_to_srgb(LIGHT).astype(np.float32), (count, 1))
     gaussians = Gaussians(g.means, scales, g.quaternions, g.opacities * np.float32(opacity), sh_from_color(color))
-    return given_rain(gaussians, LIGHT, mixing)
+    return given_rain(gaussians, LIGHT, model)
 
 
 def scene(count: int = 120, opacity: float | None = None) -> list[DrawItem]:
@@ -31,14 +31,14 @@ def scene(count: int = 120, opacity: float | None = None) -> list[DrawItem]:
     return [DrawItem(replace(g, opacities=opacities), np.eye(4))]
 
 
-@pytest.mark.parametrize("mixing", ["linear", "display"])
+@pytest.mark.parametrize("model", ["physical", "paper"])
 @pytest.mark.parametrize(
     ("parts", "of_drops"), [(scene(), 0.3), (scene(opacity=0.97), 0.3), (scene(opacity=0.05), 0.3), (scene(), 0.01),
                             (scene(), 1.0), ([], 0.02)],
     ids=["mixed", "opaque scene", "faint scene", "faint drops", "dense drops", "no scene"],
 )  # fmt: skip
-def test_rain_agrees_with_the_reference(mixing, parts, of_drops):
-    rain = drops(mixing, of_drops)
+def test_rain_agrees_with_the_reference(model, parts, of_drops):
+    rain = drops(model, of_drops)
     frame = drawn(CpuRenderer(), parts, rain, with_depth=True)
     everything = [*parts, DrawItem(rain.given, np.eye(4))]
     flags = [None] * len(parts) + [np.ones(len(rain.given), bool)]
@@ -58,7 +58,7 @@ def test_rain_agrees_with_the_reference(mixing, parts, of_drops):
 
 
 def test_pixels_without_rain_and_behind_walls_keep_every_bit():
-    one = given_rain(drops(opacity=1).given.take(np.arange(3)), LIGHT, "linear")
+    one = given_rain(drops(opacity=1).given.take(np.arange(3)), LIGHT, "physical")
     clear, rainy = drawn(CpuRenderer(), scene(500)).rgba, drawn(CpuRenderer(), scene(500), one).rgba
     alone = drawn(CpuRenderer(), [], one).rgba[..., 3] > 0
     assert 0.01 < alone.mean() < 0.9
@@ -70,10 +70,10 @@ def test_pixels_without_rain_and_behind_walls_keep_every_bit():
         assert drawn(CpuRenderer(), wall, rain).rgba.tobytes() == drawn(CpuRenderer(), wall).rgba.tobytes()
 
 
-@pytest.mark.parametrize("mixing", ["linear", "display"])
-def test_the_same_bytes_again_and_at_any_thread_count(mixing):
+@pytest.mark.parametrize("model", ["physical", "paper"])
+def test_the_same_bytes_again_and_at_any_thread_count(model):
     def picture() -> bytes:
-        frame = drawn(CpuRenderer(), scene(2000), drops(mixing), camera=small_camera(300, 200), with_depth=True)
+        frame = drawn(CpuRenderer(), scene(2000), drops(model), camera=small_camera(300, 200), with_depth=True)
         return frame.rgba.tobytes() + frame.depth.tobytes()
 
     assert len(at_each_thread_count(picture)) == 1

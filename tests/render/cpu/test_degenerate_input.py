@@ -46,15 +46,15 @@ def picture(gaussians: Gaussians, *arguments, **options) -> Frame:
 
 @pytest.mark.parametrize("kind", ["cpu", "opengl"])
 @settings(max_examples=80, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(what=changes, look=st.sampled_from(LOOKS), mixing=st.sampled_from([None, "linear", "display"]))
-@example(what=[("means", 0, 2, just_before), ("means", 1, 2, just_behind)], look="splats", mixing=None)
-def test_pictures_stay_finite_and_repeat_themselves(open_kind, kind, what, look, mixing):
+@given(what=changes, look=st.sampled_from(LOOKS), model=st.sampled_from([None, "physical", "paper"]))
+@example(what=[("means", 0, 2, just_before), ("means", 1, 2, just_behind)], look="splats", model=None)
+def test_pictures_stay_finite_and_repeat_themselves(open_kind, kind, what, look, model):
     """Also with strange rain."""
     renderer = open_kind(kind)
     gaussians, rain = changed(random_gaussians(COUNT, 1, 1), what), None
-    if mixing is not None:
+    if model is not None:
         drops = changed(random_gaussians(COUNT, 2, 1), [each for each in what if each[0] != "sh"])
-        rain = given_rain(drops, np.ones(3, np.float32), mixing)
+        rain = given_rain(drops, np.ones(3, np.float32), model)
     with_depth = kind == "cpu" or look == "splats"
     frame, again = (drawn(renderer, gaussians, rain, look=look, with_depth=with_depth) for _ in range(2))
     assert np.isfinite(frame.rgba).all()

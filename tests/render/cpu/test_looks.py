@@ -45,7 +45,7 @@ def straight(frame: Frame, row: int = 20, column: int = 20) -> np.ndarray:
 @pytest.mark.parametrize("look", [look for look in LOOKS if look != "splats"])
 def test_looks_show_the_scene_without_rain_and_are_finite(look):
     parts = [DrawItem(random_gaussians(300, 1, 1), HERE), DrawItem(random_gaussians(100, 2), HERE)]
-    rain = given_rain(random_gaussians(50, 3), np.ones(3, np.float32), "linear")
+    rain = given_rain(random_gaussians(50, 3), np.ones(3, np.float32), "physical")
     frame = seen(parts, look, small_camera())
     assert np.isfinite(frame.rgba).all()
     assert frame.rgba.max() > 0.3

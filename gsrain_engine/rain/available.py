@@ -1,0 +1,57 @@
+"""Settings of the rain that a kind of source can't draw, or that do nothing without another: refused by name."""
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+from ..fields import option_names
+from .settings import RainSettings
+
+Source = Literal["scene", "photographs", "Gaussians", "Gaussians with scene", "page"]
+"""Sources of pictures: a scene; photographs; files of its Gaussians, which are no pictures; a web page."""
+
+_SURFACES = "photographs have no surfaces for it; gsrain reconstruct makes a scene of them, for --scene"
+_FILE = "a file of Gaussians holds streaks and haze only; gsrain render draws it"
+_PAGE = "a page has none; gsrain render draws it"
+_GLASS_DETAILS = "wiper", "glass_wet_s", "glass_dirt", "contact_angle_deg", "glass_distance_m"
+
+_PICTURES = "lamps", "lamp_gain", "mirror", "splashes", "spray", "glass", "sensor", "visibility_m", *_GLASS_DETAILS
+
+UNAVAILABLE: dict[Source, dict[str, str]] = {
+    "scene": {},
+    "photographs": dict.fromkeys(
+        ("roofs", "lamps", "lamp_gain", "wetness", "mirror", "splashes", "spray"), _SURFACES
+    ) | {"sensor": "a photograph has been through its camera's sensor; --exposure sets the shutter of the drops"},
+    "Gaussians": dict.fromkeys((*_PICTURES, "wetness"), _FILE),
+    "Gaussians with scene": dict.fromkeys(_PICTURES, _FILE),
+    "page": dict.fromkeys(("lamps", "lamp_gain", "spray", "glass", "sensor", *_GLASS_DETAILS), _PAGE),
+}  # fmt: skip
+"""Reasons by field of the rain."""
+
+_OFF: dict[str, Any] = {
+    "roofs": False, "lamps": "none", "wetness": 0.0, "mirror": False, "splashes": False, "spray": False,
+    "glass": "none",
+}  # fmt: skip
+"""Values with which a setting asks for nothing."""
+
+_NEEDS: dict[str, tuple[str, tuple[Any, ...], str]] = {
+    **dict.fromkeys(_GLASS_DETAILS, ("glass", ("windshield", "lens"), "there is no glass; --glass sets one")),
+    "wiper": ("glass", ("windshield",), "only a windshield has one (--glass windshield)"),
+    "streak_gain": ("streaks", (True,), "no streaks are drawn"),
+}
+"""Setting, another one and its values with which it does something, and the reason."""
+
+
+def check_available(changes: Mapping[str, Any], rain: RainSettings, source: Source = "scene") -> None:
+    """Raise `ValueError` for a changed setting that has no effect; it names the option, the reason and what to do.
+
+    `changes` are the settings that somebody chose by name, those of a preset aside; `rain` is the whole.
+    """
+    names = option_names(RainSettings)
+    for field, value in changes.items():
+        reason = UNAVAILABLE[source].get(field)
+        if reason is not None and value != _OFF.get(field, RainSettings):
+            raise ValueError(f"{names[field]}: {reason}")
+        if field in _NEEDS:
+            other, values, why = _NEEDS[field]
+            if getattr(rain, other) not in values:
+                raise ValueError(f"{names[field]}: {why}")
