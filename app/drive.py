@@ -23,6 +23,7 @@ from gsrain_engine.render.export_settings import Lod
 from gsrain_engine.render.level_of_detail import lod_cut
 from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.render.video import can_write_videos
+from gsrain_engine.report.numbers import provenance_lines, run_provenance, write_text
 from gsrain_engine.report.page import write_report
 from gsrain_engine.scene.files import file_word, shortened
 from gsrain_engine.scene.open import STREET, load_sorted_scene, scene_hash, with_lod_trees
@@ -66,7 +67,7 @@ from .options import (
     setting,
     split_words,
 )
-from .outputs import check_writable, lock_outputs, provenance_lines, run_provenance, write_numbers, write_text
+from .outputs import check_writable, lock_outputs, write_numbers
 from .render import rainy_light
 
 EXPORTS = {"parquet": "pyarrow", "ros2": "rosbags", "xosc": "scenariogeneration"}

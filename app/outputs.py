@@ -1,22 +1,19 @@
-"""Output files of commands: checks before long work starts, locks, numbers as JSON, and their provenance."""
+"""Output files of commands: checks before long work starts, locks, and numbers as JSON."""
 
-import hashlib
 import json
-import math
 import os
-import shlex
 import stat
 import sys
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
-from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TextIO, cast
+from typing import TYPE_CHECKING, Any, TextIO
 
 import msgspec
 
-from gsrain_engine.scene.files import hold_for_writing, name_problem, shortened, whole_file
+from gsrain_engine.report.numbers import run_provenance, write_json
+from gsrain_engine.scene.files import hold_for_writing, name_problem, shortened
 
 from .console import print, print_lines
 
@@ -190,28 +187,12 @@ def _mode(path: Path) -> int | None:
 # Numbers and reports
 
 
-def finite_numbers(value: Any) -> Any:
-    """Replace NaN and infinity, which JSON lacks, with null."""
-    if isinstance(value, dict):
-        return {name: finite_numbers(each) for name, each in cast(dict[str, Any], value).items()}
-    if isinstance(value, list | tuple):
-        return [finite_numbers(each) for each in cast(Sequence[Any], value)]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
 def write_numbers(file: Path | None, numbers: Mapping[str, Any]) -> None:
     """Write the numbers of a command as JSON, if a file is set; `SCREEN` prints them."""
     if file == SCREEN:
         print_lines(json.dumps(numbers, indent=1))
     elif file is not None:
-        write_text(file, json.dumps(numbers, indent=1) + "\n")
-
-
-def write_text(file: Path, text: str) -> None:
-    """Write a text file as a whole; missing folders are made."""
-    file.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(file) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+        write_json(file, numbers)
 
 
 def table_stream(file: Path | None) -> TextIO:
@@ -230,13 +211,7 @@ def write_page(report: Path, page: "RunReport", json: Path | None, numbers: Mapp
     print(f"wrote {', '.join(map(str, written))}", file=sys.stderr)
 
 
-# PictureProvenance of an evaluation's numbers: command line, versions, and hashes of the inputs
-
-
-def run_provenance(inputs: Mapping[str, str], packages: Iterable[str] = ()) -> dict[str, Any]:
-    """Return the provenance for a file of numbers: `inputs` are hashes by name, `packages` the relevant ones."""
-    versions = {name: version_of(name) for name in ("gsrain", "numpy", *packages)}
-    return {"command": command_line(), "versions": versions, "inputs": dict(inputs)}
+# Provenance of pictures
 
 
 def provenance_file(output: Path) -> Path:
@@ -249,28 +224,5 @@ def write_provenance(
 ) -> dict[str, Any]:
     """Write what the pictures of an output hold, by name, beside it or to a file; returns it for other files."""
     facts = run_provenance({}) | {"pictures": {name: msgspec.to_builtins(each) for name, each in pictures.items()}}
-    write_text(file or provenance_file(output), json.dumps(facts, indent=1) + "\n")
+    write_json(file or provenance_file(output), facts)
     return {"provenance": facts}
-
-
-def provenance_lines(facts: Mapping[str, Any]) -> dict[str, str]:
-    """Return the provenance as lines by title."""
-    versions = ", ".join(f"{name} {version}" for name, version in facts["versions"].items() if version is not None)
-    hashes = {f"hash of {name}": str(value) for name, value in facts["inputs"].items()}
-    return {"command": str(facts["command"]), "versions": versions, **hashes}
-
-
-def command_line() -> str:
-    return shlex.join(["gsrain", *sys.argv[1:]])
-
-
-def version_of(package: str) -> str | None:
-    try:
-        return metadata.version(package)
-    except metadata.PackageNotFoundError:
-        return None
-
-
-def set_hash(hashes: Iterable[str]) -> str:
-    """Return one hash (16 hex digits) of a set of images from the hashes of its images, in order."""
-    return hashlib.sha256("\n".join(hashes).encode()).hexdigest()[:16]

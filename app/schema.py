@@ -6,10 +6,11 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from gsrain_engine.fields import schema_of
+from gsrain_engine.report.numbers import write_text
 
 from .console import print_lines
 from .options import option
-from .outputs import check_writable, write_text
+from .outputs import check_writable
 
 SETTINGS = {
     "rain": ("gsrain_engine.rain.settings:RainSettings", "Rain presets"),

@@ -63,7 +63,8 @@ from gsrain_engine.render.sequence import find_rig_cameras
 from gsrain_engine.render.sky_color import SkyColor, sky_color
 from gsrain_engine.render.video import SUFFIXES as VIDEO_SUFFIXES
 from gsrain_engine.render.video import VideoWriter
-from gsrain_engine.report.page import ReportFigure, RunReport, input_fingerprint, write_report
+from gsrain_engine.report.numbers import command_line, finite_numbers, input_fingerprint, version_of
+from gsrain_engine.report.page import ReportFigure, RunReport, write_report
 from gsrain_engine.report.table import Table
 from gsrain_engine.safe_io.errors import MissingInputsError
 from gsrain_engine.safe_io.limits import file_sha256
@@ -88,7 +89,7 @@ from ..options import (
     setting,
     split_words,
 )
-from ..outputs import check_ending, claim_outputs, command_line, finite_numbers, version_of, write_numbers
+from ..outputs import check_ending, claim_outputs, write_numbers
 from ..render import rainy_light
 from ..scene import missing_source, names_scene
 

@@ -29,7 +29,8 @@ from gsrain_engine.evaluation.image_metrics import ImageDistance, check_pair, co
 from gsrain_engine.evaluation.lpips_weights import ARRAY_SUFFIXES, read_lpips_weights, write_arrays
 from gsrain_engine.report.charts import ImageComparison
 from gsrain_engine.report.interval import CONFIDENCE, Interval
-from gsrain_engine.report.page import RunReport, input_fingerprint
+from gsrain_engine.report.numbers import finite_numbers, input_fingerprint, provenance_lines, run_provenance, set_hash
+from gsrain_engine.report.page import RunReport
 from gsrain_engine.report.table import Column, Table, columns
 from gsrain_engine.safe_io.limits import file_sha256
 
@@ -84,20 +85,20 @@ def images(
     if left_out:
         print(f"{left_out} pictures have no other of their name, and are left out", file=sys.stderr)
     settings = {"pictures": str(shown), "truth": str(truth), "lpips": lpips, "seed": seed, "left_out": left_out}
-    first, second = (outputs.set_hash(each) for each in zip(*hashes, strict=True))
+    first, second = (set_hash(each) for each in zip(*hashes, strict=True))
     inputs = {f"pictures {shown}": first, f"truth {truth}": second}
     if masks is not None:
         inputs[f"masks {masks}"] = input_fingerprint(masks)
-    facts = outputs.run_provenance(inputs, ("scikit-image", "torch"))
+    facts = run_provenance(inputs, ("scikit-image", "torch"))
     plain_rows = [
         {"name": row.name, "psnr_db": row.psnr_db, "ssim": row.ssim, "lpips": row.lpips, "compared_share": share}
         for row, share in zip(rows, shares, strict=True)
     ]
     plain_means = {name: each.plain for name, each in means.items()}
-    numbers = outputs.finite_numbers({**settings, **facts, "means": plain_means, "rows": plain_rows})
+    numbers = finite_numbers({**settings, **facts, "means": plain_means, "rows": plain_rows})
     outputs.write_numbers(json, numbers)
     if report is not None:
-        lines = {**settings, **outputs.provenance_lines(facts)}
+        lines = {**settings, **provenance_lines(facts)}
         page = RunReport(title="Pictures compared", settings=lines, comparisons=tuple(rows), held_out=False)
         outputs.write_page(report, page, json, numbers)
 
@@ -208,11 +209,11 @@ def fid(
         for warning in row.warnings:
             print(f"{_short(row.fake)}, {row.metric}: {warning}.", file=outputs.table_stream(json))
     settings = {"resamples": times, "seed": seed, "confidence": CONFIDENCE}
-    facts = outputs.run_provenance(hashes, ("torch", "onnxruntime"))
+    facts = run_provenance(hashes, ("torch", "onnxruntime"))
     numbers = {**settings, **facts, "rows": [_fid_numbers(row) for row in rows]}
     outputs.write_numbers(json, numbers)
     if report is not None:
-        outputs.write_page(report, _page(rows, {**settings, **outputs.provenance_lines(facts)}), json, numbers)
+        outputs.write_page(report, _page(rows, {**settings, **provenance_lines(facts)}), json, numbers)
 
 
 def _opened(folder: Path) -> Capture:
@@ -241,7 +242,7 @@ def _rows(
     """Extract features of all sets and compare each set with the first; adds hashes of their pixels to `hashes`."""
     with progress_bar("Looking at pictures", sum(len(capture) for _, capture in sets)) as advance:
         looked = [extract_features(str(folder), capture, extractor, cache, advance) for folder, capture in sets]
-    hashes |= {each.name: outputs.set_hash(each.hashes) for each in looked}
+    hashes |= {each.name: set_hash(each.hashes) for each in looked}
     with progress_bar("Resampling", 2 * resamples * (len(sets) - 1)) as advance:
         return [
             distribution_distance(extractor, looked[0], each, resamples=resamples, seed=seed, advance=advance)

@@ -18,7 +18,8 @@ from gsrain_engine.rain.calibration import load_calibration
 from gsrain_engine.rain.properties import extinction_note
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.report.interval import Interval
-from gsrain_engine.report.page import ReportFigure, RunReport, input_fingerprint, write_report
+from gsrain_engine.report.numbers import finite_numbers, input_fingerprint, provenance_lines, run_provenance
+from gsrain_engine.report.page import ReportFigure, RunReport, write_report
 from gsrain_engine.report.table import Cell, Table, columns
 from gsrain_engine.safe_io.errors import convert_checked
 from gsrain_engine.safe_io.text_files import read_whole, yaml_values
@@ -37,14 +38,7 @@ from ..options import (
     parse_intensities,
     setting,
 )
-from ..outputs import (
-    claim_outputs,
-    finite_numbers,
-    provenance_lines,
-    run_provenance,
-    table_stream,
-    write_numbers,
-)
+from ..outputs import claim_outputs, table_stream, write_numbers
 from ..scene import names_scene
 
 DetectionOptions = options_of(

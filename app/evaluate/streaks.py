@@ -26,13 +26,14 @@ from gsrain_engine.evaluation.real_rain_report import markdown
 from gsrain_engine.evaluation.streaks import ANGLE_EDGES_DEG, LENGTH_EDGES_PX
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.render.images import write_png
+from gsrain_engine.report.numbers import finite_numbers, write_text
 from gsrain_engine.report.table import Cell, Table, columns
 from gsrain_engine.scene.camera import DEFAULT_EXPOSURE_S
 from gsrain_engine.scene.sensor import DEFAULT_SENSOR, Sensor, load_sensor
 
 from ..console import print_lines, progress_bar
 from ..options import JsonFileOrScreen, check_within, option, options_of, setting
-from ..outputs import check_ending, check_writable, finite_numbers, table_stream, write_numbers, write_text
+from ..outputs import check_ending, check_writable, table_stream, write_numbers
 
 _AIR = ("wind_speed_m_s", "wind_from_deg", "gust_m_s", "turbulence_m_s")
 RenderedOptions = options_of(

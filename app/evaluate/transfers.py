@@ -20,7 +20,8 @@ from gsrain_engine.evaluation.fid import FeatureCache
 from gsrain_engine.evaluation.fid_features import ExtractorChoice
 from gsrain_engine.presets import shipped_config_names
 from gsrain_engine.render.images import write_image
-from gsrain_engine.report.page import ReportFigure, RunReport, input_fingerprint, write_report
+from gsrain_engine.report.numbers import input_fingerprint, provenance_lines, run_provenance, version_of, write_text
+from gsrain_engine.report.page import ReportFigure, RunReport, write_report
 from gsrain_engine.safe_io.errors import MissingInputsError
 from gsrain_engine.scene.open import scene_hash
 
@@ -67,8 +68,8 @@ def transfers(
     source, real = _opened(settings)
     result = run_with_progress(translators.run_comparison(settings, source, real, extractor, FeatureCache(), output))
     numbers = {
-        "gsrain": outputs.version_of("gsrain"),
-        **outputs.run_provenance(_inputs(settings, source), ("torch", "diffusers", "onnxruntime")),
+        "gsrain": version_of("gsrain"),
+        **run_provenance(_inputs(settings, source), ("torch", "diffusers", "onnxruntime")),
         "comparison": comparison,
         "source": source.name,
         "views": len(source.views),
@@ -82,12 +83,12 @@ def transfers(
         "settings": msgspec.to_builtins(settings, enc_hook=str),
     }
     table = results.comparison_table(result.rows)
-    outputs.write_text(output / "table.md", table.markdown)
+    write_text(output / "table.md", table.markdown)
     table.write_csv(output / "table.csv")
     outputs.write_numbers(output / "table.json", numbers)
     write_image(output / "figure.png", Image.fromarray(result.figure))
     facts = {"views": f"{len(source.views)} of {source.name}", "real pictures": len(real)}
-    facts |= outputs.provenance_lines(numbers)
+    facts |= provenance_lines(numbers)
     write_report(output / "report.html", transfers_page(result, settings, facts))
     print_transfers(result, outputs.table_stream(json))
     print(f"wrote {output}: table.md, table.csv, table.json, figure.png, report.html", file=sys.stderr)

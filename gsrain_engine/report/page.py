@@ -1,8 +1,6 @@
-"""HTML report of a run: figures, curves, images, tables and settings, and fingerprints of its inputs."""
+"""HTML report of a run: figures, curves, images, tables and settings."""
 
-import hashlib
-import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from math import nan
 from pathlib import Path
@@ -160,23 +158,3 @@ def write_report(file: Path, report: RunReport) -> None:
     file.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(file) as temporary:
         temporary.write_text(page, encoding="utf-8")
-
-
-# Fingerprint of inputs
-
-
-def input_fingerprint(path: Path) -> str:
-    """Hash (16 hex digits) of names, sizes and times, not contents, of a file or folder; "absent" without one."""
-    if not path.exists():
-        return "absent"
-    found = hashlib.sha256()
-    for file in [path] if path.is_file() else _files_below(path):
-        about = file.stat()
-        found.update(f"{file.relative_to(path).as_posix()}\0{about.st_size}\0{about.st_mtime_ns}\n".encode())
-    return found.hexdigest()[:16]
-
-
-def _files_below(folder: Path) -> Iterator[Path]:
-    for root, folders, files in os.walk(folder):
-        folders.sort()
-        yield from (Path(root) / name for name in sorted(files) if (Path(root) / name).is_file())
