@@ -9,6 +9,7 @@ from cyclopts import Parameter
 from gsrain_engine.backends import open_renderer
 from gsrain_engine.datasets.bags.containers import MCAP, SQLITE
 from gsrain_engine.datasets.capture import Capture
+from gsrain_engine.datasets.open_source import names_scene
 from gsrain_engine.evaluation.lidar.sensor import SENSORS
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import RainSimulation
@@ -30,7 +31,7 @@ from .evaluate.lidar import read_sensor
 from .options import JsonFile, Wet, check_within, flag, option, parse_size, setting
 from .outputs import check_writable, lock_outputs, write_numbers, write_provenance
 from .render import RainOptions, rainy_light, viewpoint_of
-from .scene import Orientation, names_scene
+from .scene import Orientation
 
 
 @Parameter(name="*")  # fields are options of the command, without a prefix

@@ -15,6 +15,7 @@ from gsrain_engine.datasets.bags.reader import read_bag_recording
 from gsrain_engine.datasets.capture import Capture, CaptureFrame, readable_images
 from gsrain_engine.datasets.capture_folder import write_views
 from gsrain_engine.datasets.open_capture import capture_format, capture_hint, open_capture
+from gsrain_engine.datasets.open_source import names_scene
 from gsrain_engine.datasets.pose_check import PoseCheck, check_poses
 from gsrain_engine.datasets.summary import CaptureSummary, contact_sheet, summarized
 from gsrain_engine.editor.edits.actors import drive_along, drive_along_own_path
@@ -26,16 +27,14 @@ from gsrain_engine.safe_io.file_kinds import find_file_kind
 from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.camera_path_edit import WALKING_M_S, with_constant_speed
 from gsrain_engine.scene.camera_path_io import read_camera_path
-from gsrain_engine.scene.formats.registry import FORMATS, format_of, lost_in_file, unknown_format
+from gsrain_engine.scene.formats.registry import FORMATS, lost_in_file, unknown_format
 from gsrain_engine.scene.formats.scene_files import (
     INNER_SCENE,
-    is_foreign_scene_folder,
     names_scene_folder,
     write_scene,
 )
 from gsrain_engine.scene.lod_tree import MIN_GAUSSIANS
 from gsrain_engine.scene.open import (
-    is_built_in_street,
     load_scene,
     load_sorted_scene,
     load_street,
@@ -75,24 +74,6 @@ class Orientation:
     def of(self, scene: Scene) -> Scene:
         """Return the scene in the chosen orientation; rotating it drops its ground height."""
         return oriented(scene, self.up, self.meters_per_unit)
-
-
-def names_scene(name: str) -> bool:
-    """Return True if a name is that of a scene; ambiguous folders, such as scene.json with images, count as scenes."""
-    path = Path(name)
-    is_file = scene_folder_of(path) is not None or format_of(path) is not None
-    return is_built_in_street(name) or is_file or is_foreign_scene_folder(path)
-
-
-def missing_source(source: Path | str | None) -> list[str]:
-    """Return the reason if a scene or capture is not there, as a list of one line; empty if it is, or for None."""
-    if source is None or is_built_in_street(source) or Path(source).exists() or capture_format(source) is not None:
-        return []
-    try:
-        load_scene(source) if names_scene(str(source)) else open_capture(source)
-    except ValueError as error:
-        return [str(error)]
-    return []
 
 
 # gsrain info

@@ -32,6 +32,7 @@ from gsrain_engine.appearance.registry import find_method, missing_for_transfer,
 from gsrain_engine.appearance.scene_views import OWN_WIDTH_PX, ViewChoice, chosen_cameras, chosen_views, scene_views
 from gsrain_engine.appearance.wet_look.environment import ImageEnvironment, ReflectionEnvironment, SceneEnvironment
 from gsrain_engine.datasets.open_capture import open_capture
+from gsrain_engine.datasets.open_source import missing_source, names_scene
 from gsrain_engine.editor.jobs.training import HOW_TO_GET_DIFFUSION, require_torch
 from gsrain_engine.editor.jobs.training import train_transfer as work
 from gsrain_engine.rain.settings import HEAVIEST_MM_H
@@ -54,7 +55,6 @@ from .options import (
     with_trust,
 )
 from .outputs import check_image, check_writable, claim_outputs, lock_outputs, write_numbers
-from .scene import missing_source, names_scene
 
 ViewChoiceOptions = options_of(
     ViewChoice, "transfer", defaults={"count": "24, of a recording all", "width_px": "their own, at most 960"}

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import Image
 
+from gsrain_engine.datasets.open_source import missing_source
 from gsrain_engine.evaluation.consistency import (
     FILM_SHARE,
     PairAgreement,
@@ -24,16 +25,16 @@ from gsrain_engine.evaluation.consistency import (
 )
 from gsrain_engine.evaluation.consistency_sheet import SheetPair, consistency_sheet
 from gsrain_engine.render.images import write_image
-from gsrain_engine.report.numbers import finite_numbers, input_fingerprint, provenance_lines, run_provenance
+from gsrain_engine.report.numbers import finite_numbers, provenance_lines, run_provenance
 from gsrain_engine.report.page import ReportFigure, RunReport
 from gsrain_engine.report.table import Cell, Table, columns
 from gsrain_engine.safe_io.errors import MissingInputsError
+from gsrain_engine.safe_io.fingerprints import input_fingerprint
 from gsrain_engine.scene.open import file_hash
 
 from ..console import print, print_lines, progress_bar
 from ..options import AllowOutside, JsonFileOrScreen, check_within, let_names_lead_outside, option
 from ..outputs import check_image, check_page, table_stream, write_numbers, write_page
-from ..scene import missing_source
 from .images import LpipsChoice, Report, open_lpips
 
 

@@ -26,6 +26,7 @@ from gsrain_engine.appearance.scene_views import (
 from gsrain_engine.backends import Backend, open_renderer
 from gsrain_engine.datasets.capture import Capture, CaptureFrame
 from gsrain_engine.datasets.open_capture import open_capture
+from gsrain_engine.datasets.open_source import missing_source, names_scene
 from gsrain_engine.datasets.undistort import undistort_frame
 from gsrain_engine.evaluation.attribution.factors import NO_FACTORS, factor_names, is_attributed, overcast_twin
 from gsrain_engine.evaluation.attribution.results import (
@@ -63,10 +64,11 @@ from gsrain_engine.render.sequence import find_rig_cameras
 from gsrain_engine.render.sky_color import SkyColor, sky_color
 from gsrain_engine.render.video import SUFFIXES as VIDEO_SUFFIXES
 from gsrain_engine.render.video import VideoWriter
-from gsrain_engine.report.numbers import command_line, finite_numbers, input_fingerprint, version_of
+from gsrain_engine.report.numbers import command_line, finite_numbers, version_of
 from gsrain_engine.report.page import ReportFigure, RunReport, write_report
 from gsrain_engine.report.table import Table
 from gsrain_engine.safe_io.errors import MissingInputsError
+from gsrain_engine.safe_io.fingerprints import input_fingerprint
 from gsrain_engine.safe_io.limits import file_sha256
 from gsrain_engine.scene.open import file_hash, load_sorted_scene, scene_hash
 from gsrain_engine.scene.scene import Scene
@@ -91,7 +93,6 @@ from ..options import (
 )
 from ..outputs import check_ending, claim_outputs, write_numbers
 from ..render import rainy_light
-from ..scene import missing_source, names_scene
 
 ViewOptions = options_of(
     ViewChoice, "evaluate detection", defaults={"sensors": "the one ahead; of a capture, all", "width_px": "960"}

@@ -29,9 +29,10 @@ from gsrain_engine.evaluation.image_metrics import ImageDistance, check_pair, co
 from gsrain_engine.evaluation.lpips_weights import ARRAY_SUFFIXES, read_lpips_weights, write_arrays
 from gsrain_engine.report.charts import ImageComparison
 from gsrain_engine.report.interval import CONFIDENCE, Interval
-from gsrain_engine.report.numbers import finite_numbers, input_fingerprint, provenance_lines, run_provenance, set_hash
+from gsrain_engine.report.numbers import finite_numbers, provenance_lines, run_provenance, set_hash
 from gsrain_engine.report.page import RunReport
 from gsrain_engine.report.table import Column, Table, columns
+from gsrain_engine.safe_io.fingerprints import input_fingerprint
 from gsrain_engine.safe_io.limits import file_sha256
 
 from .. import outputs

@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 from PIL import Image
 
+from gsrain_engine.datasets.open_source import names_scene
 from gsrain_engine.evaluation.lidar.results import RainRun, RainRunCounts, write_figure
 from gsrain_engine.evaluation.lidar.results import rain_runs as lidar_runs
 from gsrain_engine.evaluation.lidar.scan import Answer, LidarTurn, capture_turns, scene_turns, write_sweep
@@ -18,10 +19,11 @@ from gsrain_engine.rain.calibration import load_calibration
 from gsrain_engine.rain.properties import extinction_note
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.report.interval import Interval
-from gsrain_engine.report.numbers import finite_numbers, input_fingerprint, provenance_lines, run_provenance
+from gsrain_engine.report.numbers import finite_numbers, provenance_lines, run_provenance
 from gsrain_engine.report.page import ReportFigure, RunReport, write_report
 from gsrain_engine.report.table import Cell, Table, columns
 from gsrain_engine.safe_io.errors import convert_checked
+from gsrain_engine.safe_io.fingerprints import input_fingerprint
 from gsrain_engine.safe_io.text_files import read_whole, yaml_values
 from gsrain_engine.scene.files import file_word
 from gsrain_engine.scene.open import file_hash, scene_hash
@@ -39,7 +41,6 @@ from ..options import (
     setting,
 )
 from ..outputs import claim_outputs, table_stream, write_numbers
-from ..scene import names_scene
 
 DetectionOptions = options_of(
     LidarSensor,

@@ -13,6 +13,7 @@ from gsrain_engine.appearance.registry import find_method
 from gsrain_engine.appearance.scene_views import chosen_views
 from gsrain_engine.datasets.capture import Capture
 from gsrain_engine.datasets.open_capture import open_capture
+from gsrain_engine.datasets.open_source import names_scene
 from gsrain_engine.editor.jobs.training import HOW_TO_GET_DIFFUSION, require_torch
 from gsrain_engine.evaluation import compare_results as results
 from gsrain_engine.evaluation import compare_translators as translators
@@ -20,15 +21,15 @@ from gsrain_engine.evaluation.fid import FeatureCache
 from gsrain_engine.evaluation.fid_features import ExtractorChoice
 from gsrain_engine.presets import shipped_config_names
 from gsrain_engine.render.images import write_image
-from gsrain_engine.report.numbers import input_fingerprint, provenance_lines, run_provenance, version_of, write_text
+from gsrain_engine.report.numbers import provenance_lines, run_provenance, version_of, write_text
 from gsrain_engine.report.page import ReportFigure, RunReport, write_report
 from gsrain_engine.safe_io.errors import MissingInputsError
+from gsrain_engine.safe_io.fingerprints import input_fingerprint
 from gsrain_engine.scene.open import scene_hash
 
 from .. import outputs
 from ..console import print, print_lines, run_with_progress
 from ..options import AllowOutside, JsonFileOrScreen, Trust, let_names_lead_outside, option, split_words, with_trust
-from ..scene import names_scene
 from .consistency import film_note
 from .images import FeatureDevice, extractor_of
 

@@ -29,8 +29,8 @@ from ..datasets.capture import Capture, CaptureError
 from ..datasets.image_override import flat_name
 from ..datasets.open_capture import capture_format, open_capture
 from ..datasets.undistort import undistort_frame
-from ..report.numbers import input_fingerprint
 from ..safe_io.errors import not_found
+from ..safe_io.fingerprints import input_fingerprint
 from ..safe_io.limits import read_file
 from ..scene.files import whole_file
 from ..scene.open import STREET

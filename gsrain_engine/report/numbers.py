@@ -3,10 +3,9 @@
 import hashlib
 import json
 import math
-import os
 import shlex
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import Any, cast
@@ -70,20 +69,3 @@ def version_of(package: str) -> str | None:
 def set_hash(hashes: Iterable[str]) -> str:
     """Return one hash (16 hex digits) of a set of images from the hashes of its images, in order."""
     return hashlib.sha256("\n".join(hashes).encode()).hexdigest()[:16]
-
-
-def input_fingerprint(path: Path) -> str:
-    """Hash (16 hex digits) of names, sizes and times, not contents, of a file or folder; "absent" without one."""
-    if not path.exists():
-        return "absent"
-    found = hashlib.sha256()
-    for file in [path] if path.is_file() else _files_below(path):
-        about = file.stat()
-        found.update(f"{file.relative_to(path).as_posix()}\0{about.st_size}\0{about.st_mtime_ns}\n".encode())
-    return found.hexdigest()[:16]
-
-
-def _files_below(folder: Path) -> Iterator[Path]:
-    for root, folders, files in os.walk(folder):
-        folders.sort()
-        yield from (Path(root) / name for name in sorted(files) if (Path(root) / name).is_file())

@@ -29,7 +29,7 @@ from gsrain_engine.evaluation.compare_translators import (
 from gsrain_engine.evaluation.fid import open_extractor
 from gsrain_engine.evaluation.fid_features import ExtractorChoice
 from gsrain_engine.presets import shipped_config_names
-from gsrain_engine.report.numbers import input_fingerprint
+from gsrain_engine.safe_io.fingerprints import input_fingerprint
 from tests.app.picture_sets import write_pictures
 from tests.training.drive_capture import drive_capture
 
