@@ -11,6 +11,7 @@ from gsrain_engine.datasets.bags.containers import MCAP, SQLITE
 from gsrain_engine.datasets.capture import Capture
 from gsrain_engine.datasets.open_source import names_scene
 from gsrain_engine.evaluation.lidar.sensor import SENSORS
+from gsrain_engine.evaluation.lidar.session import open_sensor
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.recordings.folders import FileCopies
@@ -27,7 +28,6 @@ from gsrain_engine.scene.scene import Scene
 from gsrain_engine.scene.transforms import flatten_scene, transform_gaussians, with_wetness_baked, world_to_file
 
 from .console import counted, print, run_with_progress
-from .evaluate.lidar import read_sensor
 from .options import JsonFile, Wet, check_within, flag, option, parse_size, setting
 from .outputs import check_writable, lock_outputs, write_numbers, write_provenance
 from .render import RainOptions, rainy_light, viewpoint_of
@@ -49,9 +49,7 @@ class RecordingLidar:
     def of(self, capture: Capture, rain: RainSettings) -> LidarRain:
         """Return the rain on a capture's lidar."""
         check_within("--full-intensity", self.full_intensity, 0, 1e6, is_open=True)
-        return LidarRain(
-            capture, rain, read_sensor(self.lidar_sensor, {}), full=self.full_intensity, estimates_range=True
-        )
+        return LidarRain(capture, rain, open_sensor(self.lidar_sensor), full=self.full_intensity, estimates_range=True)
 
 
 def export_rain(

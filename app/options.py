@@ -4,7 +4,8 @@ import math
 import os
 import re
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, fields, is_dataclass, make_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar, get_args
@@ -196,6 +197,19 @@ def option_error(message: str, kind: type) -> str:
         return f"{option}: {message[: place.start()]}"
     # Errors of a type's own checks name the fields: "last_s must be above first_s ..."
     return _WORD.sub(lambda word: names.get(word[0], word[0]), message)
+
+
+@contextmanager
+def named_options(kind: type, *arguments: str) -> Generator[None]:
+    """Let errors that begin with a setting of `kind`, or with one of some arguments, begin with its option."""
+    try:
+        yield
+    except ValueError as error:
+        word = re.match(r"\w+", str(error))
+        names = {name: f"--{name}" for name in arguments} | option_names(kind)
+        if word is None or word[0] not in names:
+            raise
+        raise ValueError(names[word[0]] + str(error)[word.end() :]) from None
 
 
 def reject_non_finite(_kind: Any, value: Any) -> None:

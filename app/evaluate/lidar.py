@@ -1,55 +1,25 @@
 """`gsrain evaluate lidar`: lidar returns in rain, by intensity and range."""
 
-import math
-from collections.abc import Iterator, Mapping, Sequence
-from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, TextIO
+from typing import Annotated
 
-import msgspec
-import numpy as np
-from PIL import Image
-
-from gsrain_engine.datasets.open_source import names_scene
-from gsrain_engine.evaluation.lidar.results import RainRun, RainRunCounts, write_figure
-from gsrain_engine.evaluation.lidar.results import rain_runs as lidar_runs
-from gsrain_engine.evaluation.lidar.scan import Answer, LidarTurn, capture_turns, scene_turns, write_sweep
+from gsrain_engine.datasets.open_source import open_source, source_hash
 from gsrain_engine.evaluation.lidar.sensor import SENSORS, LidarSensor
-from gsrain_engine.rain.calibration import load_calibration
-from gsrain_engine.rain.properties import extinction_note
+from gsrain_engine.evaluation.lidar.session import LidarSettings, evaluate_lidar, open_sensor
 from gsrain_engine.rain.settings import RainSettings
-from gsrain_engine.report.interval import Interval
-from gsrain_engine.report.numbers import finite_numbers, provenance_lines, run_provenance
-from gsrain_engine.report.page import ReportFigure, RunReport, write_report
-from gsrain_engine.report.table import Cell, Table, columns
-from gsrain_engine.safe_io.errors import convert_checked
-from gsrain_engine.safe_io.fingerprints import input_fingerprint
-from gsrain_engine.safe_io.text_files import read_whole, yaml_values
-from gsrain_engine.scene.files import file_word
-from gsrain_engine.scene.open import file_hash, scene_hash
+from gsrain_engine.scene.open import file_hash
 
-from ..console import print, print_lines, progress_bar
-from ..options import (
-    AllowOutside,
-    JsonFileOrScreen,
-    check_within,
-    converted_options,
-    let_names_lead_outside,
-    option,
-    options_of,
-    parse_intensities,
-    setting,
-)
+from ..console import print, print_lines, run_with_progress
+from ..options import AllowOutside, JsonFileOrScreen, let_names_lead_outside, named_options, option, options_of
 from ..outputs import claim_outputs, table_stream, write_numbers
 
-DetectionOptions = options_of(
+LimitOptions = options_of(
     LidarSensor,
     "evaluate lidar",
     defaults={"range_m": "the sensor's; of a capture, estimated", "least_reflectance": "the sensor's"},
 )
-
-_Runs = Mapping[float, Sequence[RainRunCounts]]
-"""Runs by intensity in mm/h."""
+AirOptions = options_of(RainSettings, "evaluate lidar")
+ConditionOptions = options_of(LidarSettings, "evaluate lidar")
 
 
 def lidar(
@@ -57,20 +27,10 @@ def lidar(
     /,
     *,
     output: Annotated[Path, option("Folder for figure, table and sweeps.", "--output", "-o")],
-    rain: Annotated[str, setting(RainSettings, "intensity_mm_h", "Several with commas.")] = "0,1.2,8.5,12",
-    visibility: Annotated[float | None, setting(RainSettings, "visibility_m")] = None,
-    calibration: Annotated[str, setting(RainSettings, "calibration")] = "published",
-    spray: Annotated[bool, setting(RainSettings, "spray")] = True,
-    seeds: Annotated[int, option("Number of rains of each intensity: seeds 0, 1, ...")] = 5,
-    sweeps: Annotated[int, option("Number of lidar turns, evenly over the capture or the drive.")] = 1,
+    conditions: ConditionOptions | None = None,
+    air: AirOptions | None = None,
     sensor: Annotated[str, option(f"{', '.join(SENSORS)} (beams, or nm), or a YAML file of a sensor.")] = "64",
-    detection: DetectionOptions | None = None,
-    answer: Annotated[Answer, option("Reported echo of a beam.")] = "strongest",
-    wet_road: Annotated[bool, option("Water on the road reflects grazing beams away.")] = True,
-    full_intensity: Annotated[
-        float | None, option("A capture's intensity of white; default: 1, or 100 if values exceed 1.")
-    ] = None,
-    reflectance: Annotated[float, option("Near-infrared reflectance of all surfaces of a scene.")] = 0.2,
+    limits: LimitOptions | None = None,
     write_sweeps: Annotated[bool, option("Write each sweep in rain (.npz).")] = True,
     allow_outside: AllowOutside = False,
     json: JsonFileOrScreen = None,
@@ -82,190 +42,24 @@ def lidar(
     as those of clear weather. In a scene a virtual sensor is on the ego's roof.
     """
     let_names_lead_outside(allow_outside)
-    intensities = parse_intensities(rain)
-    settings = converted_options(
-        {"visibility_m": visibility, "calibration": calibration, "spray": spray and wet_road}, RainSettings
-    )
-    load_calibration(calibration)  # before anything is simulated
-    check_within("--seeds", seeds, 1, 1000)
-    check_within("--sweeps", sweeps, 1, 1000)
-    check_within("--reflectance", reflectance, 0, 1, is_open=True)
-    check_within("--full-intensity", full_intensity, 0, 1e6, is_open=True)
+    settings, rain = (conditions or ConditionOptions()).settings(), (air or AirOptions()).settings()
+    changes = (limits or LimitOptions()).changes()
     claim_outputs(output / "lidar.png", output / "report.html", json, folders=[output])
-    limits = (detection or DetectionOptions()).changes()
-    chosen = read_sensor(sensor, limits)
-    count, turns = _turns(source, chosen, sweeps, reflectance, full_intensity, estimates_range="range_m" not in limits)
-    by_intensity: dict[float, list[RainRunCounts]] = {}
-    strongest: RainRun | None = None
-    with progress_bar("Raining", count * len(intensities) * seeds) as advance:
-        for turn in turns:
-            for run in lidar_runs(turn, settings, intensities, range(seeds), answer=answer, wet_road=wet_road):
-                intensity = run.counts.state.intensity_mm_h
-                if write_sweeps:
-                    name = f"{file_word(run.turn.name)}_rain{intensity:g}_seed{run.counts.seed}.npz"
-                    write_sweep(output / "sweeps" / name, run.rainy)
-                if strongest is None or intensity > strongest.counts.state.intensity_mm_h:
-                    strongest = run
-                by_intensity.setdefault(intensity, []).append(run.counts)
-                advance()
-    if strongest is None:
-        raise ValueError(f"{source}: no turn of a lidar came of it")
-    write_figure(output / "lidar.png", strongest, by_intensity)
-    inputs = {source: scene_hash(source) if names_scene(source) else input_fingerprint(Path(source))}
-    if sensor not in SENSORS:
-        inputs[sensor] = file_hash(Path(sensor))
-    report = {
-        "source": source,
-        "seeds": list(range(seeds)),
-        "answer": answer,
-        "wet_road": wet_road,
-        "visibility_m": visibility,
-        "calibration": calibration,
-        "spray": spray,
-        "extinction": extinction_note(msgspec.structs.replace(settings, intensity_mm_h=each) for each in intensities),
-        **run_provenance(inputs, ("numba",)),
-        "sensor": msgspec.to_builtins(strongest.turn.sensor),
-        "rows": [_row(run) for runs in by_intensity.values() for run in runs],
-    }
-    lidar_rows(report["rows"]).write_csv(output / "lidar.csv")
-    write_numbers(output / "lidar.json", report)
-    write_lidar_page(output / "report.html", output / "lidar.png", by_intensity, report)
-    print_lidar(by_intensity, strongest.turn.sensor, table_stream(json))
-    print(report["extinction"], file=table_stream(json))
-    what = "lidar.png, lidar.csv, lidar.json, report.html" + (", sweeps/" if write_sweeps else "")
-    print(f"wrote {output}: {what}", file=table_stream(json))
-    write_numbers(json, report)
-
-
-def _turns(
-    source: str, sensor: LidarSensor, count: int, reflectance: float, full: float | None, estimates_range: bool
-) -> tuple[int, Iterator[LidarTurn]]:
-    """Return the number of turns, and the turns."""
-    if names_scene(source):
-        from gsrain_engine.scene.open import load_scene
-
-        scene = load_scene(source)
-        if scene.ego is None or not len(scene.ego.times):
-            raise ValueError(f"{source}: has no ego vehicle whose roof a lidar could stand on")
-        first, last = float(scene.ego.times[0]), float(scene.ego.times[-1])
-        times = [first + (last - first) * k / count for k in range(count)]
-        return count, scene_turns(scene, sensor, times, matt=reflectance)
-    from gsrain_engine.datasets.open_capture import open_capture
-
-    capture = open_capture(source)
-    found = capture_turns(capture, sensor, count, full=full, estimates_range=estimates_range)
-    return min(count, len(capture.sweeps)), found
-
-
-def read_sensor(name: str, limits: Mapping[str, float]) -> LidarSensor:
-    """Return a sensor by name or from a file, with other limits of detection."""
-    sensor = SENSORS.get(name)
-    if sensor is None:
-        path = Path(name)
-        if not path.exists():
-            raise ValueError(f"--sensor {name}: expected {', '.join(SENSORS)}, or a YAML file of a sensor")
-        data = read_whole(path)
-        try:
-            sensor = convert_checked(yaml_values(data), LidarSensor)
-        except ValueError as error:
-            raise ValueError(f"{path}: {error}") from None
-    farthest_m = max(sensor.farthest_m, limits.get("range_m", 0.0))
-    return converted_options(msgspec.to_builtins(sensor) | limits | {"farthest_m": farthest_m}, LidarSensor)
-
-
-# Numbers on the screen, as JSON and as CSV
-
-_COUNTED = ("clear", "kept", "dropped", "masked", "false")
-
-
-def _row(run: RainRunCounts) -> dict[str, Any]:
-    tally = run.tally
-    return finite_numbers({
-        "intensity_mm_h": run.state.intensity_mm_h,
-        "seed": run.seed,
-        "turn": run.turn,
-        "extinction_per_m": run.state.extinction_per_m,
-        "marshall_palmer_extinction_per_m": run.state.marshall_palmer_extinction_per_m,
-        "wetness": run.wetness,
-        "range_10_m": run.range_m,
-        **{name: int(getattr(tally, name).sum()) for name in _COUNTED},
-        "untouched": tally.untouched,
-        "at_threshold": run.at_threshold,
-        "range_rmse_m": tally.range_rmse_m,
-        "by_range": [
-            {"from_m": start, "to_m": end}
-            | {name: int(getattr(tally, name)[k]) for name in _COUNTED}
-            for k, (start, end) in enumerate(pairwise(tally.edges_m.tolist()))
-        ],
-    })  # fmt: skip
-
-
-def lidar_rows(rows: Sequence[Mapping[str, Any]]) -> Table:
-    """Return a row for each run and range bin; the last bin has no end."""
-    run = "intensity_mm_h", "seed", "turn"
-    own = [[*(row[name] for name in run), *part.values()] for row in rows for part in row["by_range"]]
-    return Table("Runs", columns((*run, "from_m", "to_m", *_COUNTED)), own)
-
-
-def print_lidar(by_intensity: _Runs, sensor: LidarSensor, file: TextIO) -> None:
-    """Print means over seeds and turns, and the shares of kept returns by range."""
-    print(f"{sensor.name}; 10 % is detected up to {sensor.range_m:.0f} m", file=file)
-    for table in (totals_table(by_intensity), range_table(by_intensity)):
-        print(f"{table.title}:", file=file)
-        print_lines(f"{table.text}\n", file=file)
-    first = next(iter(by_intensity.values()))
-    if just := sum(run.at_threshold for run in first):
-        print(
-            f"{just / len(first):,.0f} clear returns are fainter than what is just detected: they are taken to be at "
-            "that limit, and any rain loses them.",
-            file=file,
-        )
-
-
-def totals_table(by_intensity: _Runs) -> Table:
-    """Return the table of all returns, by intensity."""
-    titled = {
-        "mm/h": "g", "beta 1/km": ".2f", "wetness": ".2f", "clear": ",.0f", "kept": ".2%", "too weak": ",.0f",
-        "behind a drop": ",.0f", "drops": ",.0f", "noise mm": ".1f",
-    }  # fmt: skip
-    rows: list[tuple[Cell, ...]] = []
-    for intensity, runs in by_intensity.items():
-        clear, kept, *counts = [np.array([getattr(run.tally, name).sum() for run in runs]) for name in _COUNTED]
-        rows.append((
-            intensity, 1e3 * runs[0].state.extinction_per_m, runs[0].wetness, float(clear.mean()),
-            float(kept.sum() / max(clear.sum(), 1)), *(Interval.spread(each, "runs") for each in counts),
-            1e3 * float(np.mean([run.tally.range_rmse_m for run in runs])),
-        ))  # fmt: skip
-    caption = "Means of the runs of each intensity. Spreads are those of the drops, not of other places."
-    return Table("Returns", columns(titled), rows, caption)
-
-
-def range_table(by_intensity: _Runs) -> Table:
-    """Return the shares of the clear returns that are kept, by range."""
-    edges = next(iter(by_intensity.values()))[0].tally.edges_m.tolist()
-    ends = [f"{a:g}-{b:g} m" if math.isfinite(b) else f"> {a:g} m" for a, b in pairwise(edges)]
-    rows: list[tuple[Cell, ...]] = []
-    for intensity, runs in by_intensity.items():
-        kept, clear = (np.sum([getattr(run.tally, name) for run in runs], axis=0) for name in ("kept", "clear"))
-        rows.append((intensity, *(float(a / b) if b else None for a, b in zip(kept, clear, strict=True))))
-    return Table("Kept returns, by range", columns({"mm/h": "g"} | dict.fromkeys(ends, ".1%")), rows)
-
-
-# HTML page
-
-
-def write_lidar_page(file: Path, figure: Path, by_intensity: _Runs, report: Mapping[str, Any]) -> None:
-    """Write the page; `report` are the numbers of `--json`, `figure` is the first image."""
-    with Image.open(figure) as opened:
-        pixels = np.asarray(opened.convert("RGB"))
-    settings = {name: value for name, value in report.items() if name not in ("sensor", "rows", "versions", "inputs")}
-    settings |= provenance_lines(report)
-    page = RunReport(
-        title=f"Lidar in rain: {report['source']}",
-        settings=settings | {f"sensor: {name}": value for name, value in report["sensor"].items()},
-        figures=(ReportFigure("From above, and by range", pixels),),
-        tables=(totals_table(by_intensity), range_table(by_intensity)),
-        headlines={"runs of each intensity": str(len(next(iter(by_intensity.values()))))},
-        notes=("False returns depend on the sensor's minimum reflectance at close range, which makers don't state.",),
-    )
-    write_report(file, page)
+    with named_options(LidarSensor, "sensor"):
+        chosen = open_sensor(sensor, changes)
+    inputs = {source: source_hash(source)} | ({} if sensor in SENSORS else {sensor: file_hash(Path(sensor))})
+    work = evaluate_lidar(
+        open_source(source), chosen, rain, settings, estimates_range="range_m" not in changes, inputs=inputs,
+        sweeps=output / "sweeps" if write_sweeps else None,
+    )  # fmt: skip
+    report = run_with_progress(work)
+    screen = table_stream(json)
+    print(f"{chosen.name}; 10 % is detected up to {report.strongest.turn.sensor.range_m:.0f} m", file=screen)
+    for table in report.tables:
+        print(f"{table.title}:", file=screen)
+        print_lines(f"{table.text}\n", file=screen)
+    for sentence in report.notes:
+        print(sentence, file=screen)
+    written = report.save(output)
+    print(f"wrote {output}: {', '.join(written)}" + (", sweeps/" if write_sweeps else ""), file=screen)
+    write_numbers(json, report.plain)

@@ -82,7 +82,7 @@ class RainSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     visibility_m: Annotated[Annotated[float, Meta(ge=10, le=100_000)] | None, Meta(
         title="Fog visibility", extra={
             "unit": "m", "scale": "log", "none": "no fog", "usual": 500.0,
-            "commands": "render, drive, evaluate detection"},
+            "commands": "render, drive, evaluate detection, evaluate lidar"},
         description="Adds fog without drops, at any intensity: distance at which it leaves 5 % of a contrast "
         "(Koschmieder).")] = None
     roofs: Annotated[bool, Meta(

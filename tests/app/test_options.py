@@ -61,7 +61,7 @@ def test_the_drop_density_has_one_name_and_the_words_of_its_help(words):
         ("recolor a --images b -o c --no-refine --no-robust", {"run": {}, "solver": {"robust": False}}),
         ("render -o a.png --size 96x64", {"recording": {"output": "a.png", "size_px": (96, 64)}}),
         ("train-transfer tiny -o a --clear b --clear c", {"images": {"clear": [{"path": "b"}, {"path": "c"}]}}),
-        ("evaluate lidar -o a --range-10 50", {"detection": {"range_m": 50.0}}),
+        ("evaluate lidar -o a --range-10 50", {"limits": {"range_m": 50.0}}),
         ("render -o a.png --clear-pair overcast", {"recording": {"output": "a.png", "twin": "overcast"}}),
         ("render -o a.png --haze gaussians", {"rain": {"haze": "gaussians"}}),
         ("render -o a.png --haze=none", {"rain": {"haze": "none"}}),
@@ -103,7 +103,7 @@ def test_attribute_takes_factors(words, attribute):
     assert bound.arguments["options"].changes()["attribute"] == attribute
     line = ["evaluate", "detection", "--detector", "a.onnx", *words.split(), "street"]
     _, bound, _ = app.parse_args(line, exit_on_error=False)
-    assert bound.arguments["attribute"].split(",") == attribute and bound.arguments["source"] == "street"
+    assert bound.arguments["conditions"].changes()["attribute"] == attribute and bound.arguments["source"] == "street"
 
 
 @pytest.mark.parametrize(("line", "wet"), [("", None), ("--wet", True), ("--no-wet", False)])

@@ -10,7 +10,6 @@ import msgspec
 import numpy as np
 import pytest
 
-from app.evaluate.lidar import read_sensor
 from gsrain_engine.appearance.finetune.settings import load_finetuning
 from gsrain_engine.appearance.output_folder import TRANSFER, TransferRecord, read_record, write_record
 from gsrain_engine.datasets.capture import CaptureError
@@ -21,6 +20,7 @@ from gsrain_engine.evaluation.compare_results import load_comparison
 from gsrain_engine.evaluation.detection.description import load_description
 from gsrain_engine.evaluation.detection.ground_truth import read_coco
 from gsrain_engine.evaluation.lidar.sensor import SENSORS
+from gsrain_engine.evaluation.lidar.session import open_sensor
 from gsrain_engine.presets import shipped_config_names
 from gsrain_engine.rain.calibration import load_calibration
 from gsrain_engine.rain.properties import rain_properties
@@ -146,7 +146,7 @@ SETTINGS_READERS = (
     _settings("finetuning-settings", "finetune", shipped_config_names("finetune")[0], load_finetuning),
     _settings("comparison", "comparisons", shipped_config_names("comparisons")[0], load_comparison),
     Reader("lidar-sensor", one_text("sensor.yaml", msgspec.yaml.encode(next(iter(SENSORS.values()))).decode()),
-           lambda path: assert_finite(read_sensor(str(path), {})), ValueError, (("*.yaml", damaged_yaml),)),
+           lambda path: assert_finite(open_sensor(str(path), {})), ValueError, (("*.yaml", damaged_yaml),)),
     Reader("coco", one_text("labels.json", json.dumps(_COCO)), _read_coco, ValueError, (("*.json", damaged_json),)),
     Reader("transfer-record", _record, _read_record, CaptureError, ((TRANSFER, damaged_json),)),
     Reader("preferences", _preferences, _read_preferences, ValueError, (("preferences.yaml", damaged_yaml),)),

@@ -324,7 +324,6 @@ ALLOWED = {
     "ui/window.py": "files of the package",
     "app/main.py": "the null device",
     "app/viewer_window.py": "the null device",
-    "app/evaluate/lidar.py": "a figure that it has just drawn",
 }
 """Files that open others by themselves, and why they may."""
 

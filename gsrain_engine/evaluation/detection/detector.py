@@ -1,9 +1,10 @@
 """Object detector: an ONNX file with its description, letterboxing, and inference of its format."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -41,6 +42,10 @@ class Detector:
     _outputs: tuple[str, ...] | None = field(repr=False)
     """Names of the outputs that are decoded, in this order; None for all."""
 
+    @property
+    def file(self) -> Path:
+        return self._model.path
+
     def detect(self, image: UInt8[np.ndarray, "h w 3"]) -> list[Detection]:
         """Detect objects in an image (RGB), by descending confidence; raises ValueError for outputs of another form."""
         height, width = image.shape[:2]
@@ -63,6 +68,38 @@ class Detector:
             for i in chosen[: self.description.most_detections]
             if visible[i]
         ]
+
+
+Found = tuple[Any, Sequence[str | int], Any]
+"""Boxes (n, 4), classes and confidences of a function that detects."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FunctionDetector:
+    """A function of an image as a detector."""
+
+    name: str
+    function: Callable[[UInt8[np.ndarray, "h w 3"]], Found]
+    """Takes an image (RGB) and returns boxes (left, top, right, bottom in pixels), classes and confidences (0..1)."""
+    classes: tuple[str, ...] = ()
+    """Classes that it can name; empty if it can name all. A class that is a number is one of these."""
+
+    def detect(self, image: UInt8[np.ndarray, "h w 3"]) -> list[Detection]:
+        """Detect objects in an image (RGB), by descending confidence; raises ValueError for results of another form."""
+        try:
+            boxes, classes, scores = self.function(image)
+            corners = np.asarray(boxes, np.float64).reshape(-1, 4)
+            confidences = np.asarray(scores, np.float64).reshape(-1)
+            names = [each if isinstance(each, str) else self.classes[int(each)] for each in classes]
+        except (TypeError, ValueError, IndexError) as error:
+            raise ValueError(f"{self.name}: expected boxes (n, 4), classes (n) and scores (n), but: {error}") from error
+        if not len(corners) == len(names) == len(confidences):
+            counts = f"{len(corners)} boxes, {len(names)} classes and {len(confidences)} scores"
+            raise ValueError(f"{self.name}: {counts}, expected as many of each")
+        if not (np.isfinite(corners).all() and ((confidences >= 0) & (confidences <= 1)).all()):
+            raise ValueError(f"{self.name}: expected finite boxes, and scores within 0..1")
+        order = np.argsort(-confidences, kind="stable")
+        return [Detection(names[i], float(confidences[i]), _corners(corners[i])) for i in order]
 
 
 def open_detector(path: Path, description: str | Path | None = None) -> Detector:

@@ -2,11 +2,10 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import msgspec
 import numpy as np
-from jaxtyping import Float, Float64, Int64
+from jaxtyping import Float, Float64, Int64, UInt8
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -16,7 +15,6 @@ from ...rain.properties import RainProperties
 from ...rain.settings import RainSettings
 from ...rain.simulation import RainSimulation
 from ...report.charts import Color, shades
-from ...scene.files import whole_file
 from ...water.spray import spray_of
 from .rain_echoes import DropReturnModel
 from .scan import Answer, LidarTurn, RainyScan, ReturnOutcome, scan_in_rain
@@ -145,11 +143,11 @@ _FEW_ENTRIES = 8  # maximum number of entries for a legend inside its panel; a l
 ByIntensity = Mapping[float, Sequence[RainRunCounts]]  # all seeds and turns at each rain rate in mm/h
 
 
-def write_figure(path: Path, run: RainRun, by_intensity: ByIntensity) -> None:
-    """Draw one turn from above, clear and in its rain, and the counts of all turns by range; write it (PNG)."""
-    figure = Figure(figsize=_SIZE_INCHES, layout="constrained")
+def lidar_figure(run: RainRun, by_intensity: ByIntensity) -> UInt8[np.ndarray, "h w 3"]:
+    """Draw one turn from above, clear and in its rain, and the counts of all turns by range."""
+    figure = Figure(figsize=_SIZE_INCHES, layout="constrained", dpi=_DPI)
     figure.get_layout_engine().set(w_pad=0.12, h_pad=0.08)  # pyright: ignore
-    FigureCanvasAgg(figure)
+    canvas = FigureCanvasAgg(figure)
     grid = figure.add_gridspec(2, 2, height_ratios=(1.45, 1))
     beams = run.turn.beams
     echoes = beams.is_echo
@@ -160,9 +158,8 @@ def write_figure(path: Path, run: RainRun, by_intensity: ByIntensity) -> None:
     _draw_rain(figure.add_subplot(grid[0, 1]), run, reach)
     _draw_return_share(figure.add_subplot(grid[1, 0]), by_intensity)
     _draw_false(figure.add_subplot(grid[1, 1]), by_intensity)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(path) as temporary:
-        figure.savefig(temporary, format="png", dpi=_DPI)
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
 
 def _from_above(turn: LidarTurn, points_m: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 2"]:

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import cv2
 import msgspec
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ from evaluation.lidar.wall_beams import SENSOR, sky_beams, wall_beams
 from gsrain_engine.datasets.capture import LidarSweep
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.evaluation.lidar.rain_echoes import DropReturnModel, wet_road_share
-from gsrain_engine.evaluation.lidar.results import ReturnCounts, rain_runs, write_figure
+from gsrain_engine.evaluation.lidar.results import ReturnCounts, lidar_figure, rain_runs
 from gsrain_engine.evaluation.lidar.scan import (
     ROOF_M,
     ReturnOutcome,
@@ -282,7 +281,7 @@ def test_beams_into_the_sky_or_nothing_have_no_echo(scan):
     assert len(sky) and np.isinf(scan.ranges_m[sky]).all()
 
 
-def test_runs_of_turns_have_a_figure(tmp_path):
+def test_runs_of_turns_have_a_figure():
     (turn,) = scene_turns(thin_scene(), msgspec.structs.replace(RINGS, range_m=30.0), [0.0])
     np.testing.assert_allclose(turn.beams.origin_m, (0, 0, 1.9))
     runs = list(rain_runs(turn, RainSettings(), (0.0, 50.0), (0, 1), answer="strongest", wet_road=True))
@@ -290,8 +289,7 @@ def test_runs_of_turns_have_a_figure(tmp_path):
     assert [(each.state.intensity_mm_h, each.seed) for each in counts] == [(0, 0), (0, 1), (50, 0), (50, 1)]
     assert counts[0].tally.clear.sum() == counts[0].tally.kept.sum() > counts[3].tally.kept.sum()
     assert 0 == counts[0].near.false.sum() < counts[3].near.false.sum()
-    write_figure(tmp_path / "lidar.png", runs[3], {0.0: counts[:2], 50.0: counts[2:]})
-    assert cv2.imread(str(tmp_path / "lidar.png")).std() > 10
+    assert lidar_figure(runs[3], {0.0: counts[:2], 50.0: counts[2:]}).std() > 10
 
 
 def test_beams_without_a_direction_are_refused_and_no_place_is_read_beyond_the_image():
