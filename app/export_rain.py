@@ -2,34 +2,28 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from cyclopts import Parameter
 
 from gsrain_engine.backends import open_renderer
-from gsrain_engine.datasets.bags.containers import MCAP, SQLITE
-from gsrain_engine.datasets.capture import Capture
 from gsrain_engine.datasets.open_source import names_scene
 from gsrain_engine.evaluation.lidar.sensor import SENSORS
 from gsrain_engine.evaluation.lidar.session import open_sensor
+from gsrain_engine.publish.rain_gaussians import export_rain_gaussians
 from gsrain_engine.rain.settings import RainSettings
-from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.recordings.folders import FileCopies
-from gsrain_engine.recordings.lidar import LidarRain
-from gsrain_engine.recordings.pictures import PhotoRain, ScenePictures
-from gsrain_engine.recordings.rainy_recording import Recording, open_recording
-from gsrain_engine.render.export import export_sequences
+from gsrain_engine.recordings.rainy_recording import open_recording
+from gsrain_engine.recordings.session import check_copy, export_recording
 from gsrain_engine.render.export_settings import ExportSettings
-from gsrain_engine.render.view import rain_camera
-from gsrain_engine.scene.formats.registry import check_written_format, write_gaussians
-from gsrain_engine.scene.gaussians import Gaussians
+from gsrain_engine.report.result import JobResult
+from gsrain_engine.scene.formats.registry import check_written_format
 from gsrain_engine.scene.open import load_sorted_scene
 from gsrain_engine.scene.scene import Scene
-from gsrain_engine.scene.transforms import flatten_scene, transform_gaussians, with_wetness_baked, world_to_file
 
-from .console import counted, print, run_with_progress
-from .options import JsonFile, Wet, check_within, flag, option, parse_size, setting
-from .outputs import check_writable, lock_outputs, write_numbers, write_provenance
+from .console import print, run_with_progress
+from .options import JsonFile, Wet, check_within, flag, named_options, option, parse_size, setting
+from .outputs import check_writable, lock_outputs, write_numbers
 from .render import RainOptions, rainy_light, viewpoint_of
 from .scene import Orientation
 
@@ -45,11 +39,6 @@ class RecordingLidar:
     full_intensity: Annotated[
         float | None, option("Lidar's intensity of white; default: 1, or 100 if values exceed 1.")
     ] = None
-
-    def of(self, capture: Capture, rain: RainSettings) -> LidarRain:
-        """Return the rain on a capture's lidar."""
-        check_within("--full-intensity", self.full_intensity, 0, 1e6, is_open=True)
-        return LidarRain(capture, rain, open_sensor(self.lidar_sensor), full=self.full_intensity, estimates_range=True)
 
 
 def export_rain(
@@ -98,62 +87,24 @@ def export_rain(
         check_written_format(output)
         check_within("--time", time, 0, 1e6, "s")
         opened = (orientation or Orientation()).of(load_sorted_scene(source))
-        size_px = parse_size(size)
-        numbers = _export_gaussians(opened, rain or RainOptions(), output, time, camera, size_px, wet, with_scene)
+        settings = (rain or RainOptions()).for_scene(opened, "Gaussians with scene" if with_scene else "Gaussians")
+        if with_scene or wet is not None:
+            opened, settings = rainy_light(opened, settings, wet, settings.intensity_mm_h)
+        still = ExportSettings(output="rain.png", first_s=time, size_px=parse_size(size))
+        viewpoint = viewpoint_of(opened, camera, None, still)
+        lock_outputs(output)
+        done = export_rain_gaussians(opened, settings, viewpoint, output, still, with_scene=with_scene)
     else:
-        check_writable(
-            json, *([output] if Path(source).is_file() else []), folders=[] if Path(source).is_file() else [output]
-        )
-        turns = lidar or RecordingLidar()
-        numbers = _export_recording(
-            Path(source), rain or RainOptions(), output, scene, wet, turns, key_frames_only, FileCopies(hard_links)
-        )
-    write_numbers(json, numbers)
+        is_file = Path(source).is_file()
+        check_writable(json, *([output] if is_file else []), folders=[] if is_file else [output])
+        copying = scene, wet, lidar or RecordingLidar(), key_frames_only, FileCopies(hard_links)
+        done = _copy(Path(source), rain or RainOptions(), output, *copying)
+    for line in done.lines:
+        print(line)
+    write_numbers(json, done.numbers)
 
 
-def _export_gaussians(
-    scene: Scene,
-    rain: RainOptions,
-    output: Path,
-    time_s: float,
-    camera: Path | None,
-    size_px: tuple[int, int],
-    wet: bool | None,
-    with_scene: bool,
-) -> dict[str, Any]:
-    settings = rain.for_scene(scene, "Gaussians with scene" if with_scene else "Gaussians")
-    if settings.visibility_m is not None:  # of a preset, or saved with the scene
-        raise ValueError(f"fog, visibility {settings.visibility_m:g} m: needs distances; gsrain render draws it")
-    if with_scene or wet is not None:
-        scene, settings = rainy_light(scene, settings, wet, settings.intensity_mm_h)
-    simulation = RainSimulation.start(settings.without_medium)  # a file has Gaussians only
-    still = ExportSettings(output="rain.png", first_s=time_s, size_px=size_px)
-    viewpoint = viewpoint_of(scene, camera, None, still)
-    (sequence,) = export_sequences(still, scene, simulation, viewpoint, in_scene_time=scene.path is not None).values()
-    shot = sequence.shot(0)
-    with open_renderer("cpu") as renderer:
-        sky = sequence.sky(renderer)
-    wetness, overcast = simulation.soaked_share_at(shot.time_s), simulation.overcast_at(shot.time_s)
-    frame = simulation.frame(shot.time_s, rain_camera(scene, simulation, shot), sky.at(overcast))
-    found = transform_gaussians(frame.gaussians, world_to_file())
-    if with_scene:
-        found = Gaussians.concatenate([flatten_scene(with_wetness_baked(scene, wetness, overcast), shot.time_s), found])
-    lock_outputs(output)
-    write_gaussians(found, output)
-    streaks, haze = len(frame.streaks), len(frame.haze)
-    state = simulation.state_at(shot.time_s)
-    kinds = f"{counted(streaks, 'streak Gaussian')} and {counted(haze, 'haze Gaussian')}"
-    print(f"{output}: {kinds} at {shot.time_s:g} s, {state.intensity_mm_h:g} mm/h")
-    return {
-        "gaussians": len(found),
-        "streaks": streaks,
-        "haze": haze,
-        "time_s": shot.time_s,
-        "intensity_mm_h": state.intensity_mm_h,
-    }
-
-
-def _export_recording(
+def _copy(
     source: Path,
     rain: RainOptions,
     output: Path,
@@ -162,61 +113,21 @@ def _export_recording(
     lidar: RecordingLidar,
     key_frames_only: bool,
     files: FileCopies,
-) -> dict[str, Any]:
+) -> JobResult[Path]:
     recording = open_recording(source, key_frames_only=key_frames_only)
-    capture = recording.capture
-    target = _copy_path(recording, source, output)
-    world = Scene(capture.name) if scene is None else load_sorted_scene(scene)
-    settings = rain.for_scene(world, "photographs" if scene is None else "scene")
-    if scene is None and wet:
+    world = None if scene is None else load_sorted_scene(scene)
+    settings = rain.for_scene(world or Scene(recording.capture.name), "photographs" if world is None else "scene")
+    if world is None and wet:
         raise ValueError("--wet: photographs have no surfaces for it; --scene names a scene of the recording")
-    bent = next((view.sensor or view.name for view in capture if view.lens is not None), None)
-    if settings.glass != "none" and bent is not None:
-        raise ValueError(
-            f"--glass {settings.glass}: water on glass is drawn for pinholes, and camera {bent} has a lens"
-        )
-    lock_outputs(target)
-    turns = lidar.of(capture, settings) if recording.has_lidar and not RainSimulation.start(settings).is_dry else None
-    with open_renderer("cpu") as renderer:
-        if scene is None:
-            pictures = PhotoRain(renderer, capture, settings)
-        else:
-            world, settings = rainy_light(world, settings, wet, settings.intensity_mm_h)
-            pictures = ScenePictures(renderer, world, capture, settings)
-        run_with_progress(recording.write(target, pictures, turns, files))
-    problems = [f"left as it was: {each}" for each in recording.untouched]
-    for problem in (*capture.problems, *problems, *(f"left out: {each}" for each in files.left_out)):
-        print(problem)
-    numbers: dict[str, Any] = {"images": pictures.written, "intensity_mm_h": settings.intensity_mm_h}
-    how = "of the scene"
-    if isinstance(pictures, PhotoRain):
-        numbers["images_with_distances"] = pictures.with_distances
-        how = f"{pictures.with_distances} of them with distances for the haze"
-        if pictures.with_distances < pictures.written:
-            how += ", the others as over a level road"
-    print(f"{target}: {counted(pictures.written, 'rainy image')} ({how}), {settings.intensity_mm_h:g} mm/h")
-    if turns is not None:
-        lost = turns.recorded - (turns.written - turns.false)
-        numbers |= {"lidar_turns": turns.turns, "lidar_points": turns.recorded, "lidar_lost": lost}
-        numbers["lidar_false"] = turns.false
-        what = f"{lost:,} of {turns.recorded:,} points lost, {turns.false:,} of drops"
-        print(f"{counted(turns.turns, 'lidar turn')}: {what}")
-    counts = {"changed": files.changed, "copied": files.copied, "linked": files.linked, "left out": len(files.left_out)}
-    print(f"files: {', '.join(f'{count:,} {what}' for what, count in counts.items())}")
-    numbers |= {f"files_{what.replace(' ', '_')}": count for what, count in counts.items()}
-    write_provenance(target, pictures.provenance, target.with_name(f"{target.name}.provenance.json"))
-    return numbers | {"cameras": list(capture.sensors)}
-
-
-def _copy_path(recording: Recording, source: Path, output: Path) -> Path:
-    """Path of the copy; raises ValueError if something is there already, or if it lies in the recording."""
-    if recording.is_file and output.suffix.lower() != source.suffix.lower():
-        raise ValueError(f"--output {output}: expected the name of a {source.suffix} file, as {source.name} is one")
-    if not recording.is_file and output.suffix.lower() in (MCAP, SQLITE):
-        raise ValueError(f"--output {output}: expected the name of a new folder, as {source.name} is one")
-    if not recording.is_file and output.resolve().is_relative_to(recording.folder.resolve()):
-        raise ValueError(f"--output {output}: lies in the recording itself")
-    if output.exists() and (recording.is_file or not output.is_dir() or any(output.iterdir())):
-        kind = "file" if recording.is_file else "folder"
-        raise ValueError(f"--output {output}: there is something already; expected the name of a new {kind}")
-    return output
+    if world is not None:
+        world, settings = rainy_light(world, settings, wet, settings.intensity_mm_h)
+    check_within("--full-intensity", lidar.full_intensity, 0, 1e6, is_open=True)
+    with named_options(RainSettings, "output", "sensor"), open_renderer("cpu") as renderer:
+        check_copy(recording, source, output)
+        lock_outputs(output)
+        return run_with_progress(
+            export_recording(
+                renderer, recording, output, settings, scene=world, sensor=open_sensor(lidar.lidar_sensor),
+                full_intensity=lidar.full_intensity, files=files,
+            )
+        )  # fmt: skip

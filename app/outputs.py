@@ -10,15 +10,12 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
-import msgspec
-
-from gsrain_engine.report.numbers import run_provenance, write_json
+from gsrain_engine.report.numbers import write_json
 from gsrain_engine.scene.files import hold_for_writing, name_problem, shortened
 
 from .console import print, print_lines
 
 if TYPE_CHECKING:
-    from gsrain_engine.render.provenance import PictureProvenance
     from gsrain_engine.report.page import RunReport
 
 SCREEN = Path("-")
@@ -209,20 +206,3 @@ def write_page(report: Path, page: "RunReport", json: Path | None, numbers: Mapp
     for file in written[1:]:
         write_numbers(file, numbers)
     print(f"wrote {', '.join(map(str, written))}", file=sys.stderr)
-
-
-# Provenance of pictures
-
-
-def provenance_file(output: Path) -> Path:
-    """Return the file beside an output, a file or a folder, that holds its provenance."""
-    return output.with_suffix(".provenance.json") if output.suffix else Path(f"{output}.provenance.json")
-
-
-def write_provenance(
-    output: Path, pictures: "Mapping[str, PictureProvenance]", file: Path | None = None
-) -> dict[str, Any]:
-    """Write what the pictures of an output hold, by name, beside it or to a file; returns it for other files."""
-    facts = run_provenance({}) | {"pictures": {name: msgspec.to_builtins(each) for name, each in pictures.items()}}
-    write_json(file or provenance_file(output), facts)
-    return {"provenance": facts}

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Annotated
 
 from gsrain_engine.backends import open_renderer
-from gsrain_engine.publish.page import LONGEST_S, write_page
+from gsrain_engine.publish.page import LONGEST_S, publish_page
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.render.export import export_sequences
 from gsrain_engine.render.export_settings import ExportSettings
@@ -61,13 +61,7 @@ def publish(
     lock_outputs(output)
     path_name = "Path" if camera_path is None else camera_path.stem
     with open_renderer("cpu") as renderer:
-        contents = run_with_progress(write_page(renderer, opened, settings, sequence, path_name, output, duration))
-    page_bytes, sog_bytes = output.stat().st_size, len(contents.scene.sog)
-    rates = [state["intensity"] for state in contents.rain.states]
-    length = f"{sequence.length_s or 0.0:.3g} s of path" if len(contents.views) > 1 else "one place"
-    print(f"{output}: {page_bytes / 1e6:.1f} MB, {length}, {len(rates)} intensities")
-    print(f"not on the page: {', '.join(contents.missing)}")
-    write_numbers(
-        json,
-        {"bytes": page_bytes, "sog_bytes": sog_bytes, "cameras": len(contents.views), "intensities_mm_h": rates},
-    )
+        page = run_with_progress(publish_page(renderer, opened, settings, sequence, path_name, output, duration))
+    for line in page.lines:
+        print(line)
+    write_numbers(json, page.numbers)

@@ -28,6 +28,7 @@ from gsrain_engine.render.object_labels import LabelFormat
 from gsrain_engine.render.provenance import PictureProvenance, provenance_of
 from gsrain_engine.render.renderer import Renderer, RenderMode
 from gsrain_engine.render.sequence import FrameSequence, common_sky
+from gsrain_engine.report.numbers import write_provenance
 from gsrain_engine.safe_io.errors import convert_checked
 from gsrain_engine.scene.camera import Camera, read_camera
 from gsrain_engine.scene.camera_path import CameraPath
@@ -52,7 +53,7 @@ from .options import (
     options_of,
     parse_intensities,
 )
-from .outputs import check_image, check_writable, lock_outputs, write_numbers, write_provenance
+from .outputs import check_image, check_writable, lock_outputs, write_numbers
 from .scene import Orientation, TimedPath, timed_path
 
 _FILE_ENDINGS = (".png", ".jpg", ".jpeg", ".exr", ".npy", ".mp4", ".webm", ".json")

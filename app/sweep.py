@@ -89,10 +89,10 @@ def sweep(
         summarize = shlex.join(["gsrain", "sweep", sweep, "-o", str(folder.path), "--summarize-only"])
         print(f"share {shard} is done; when all are: {summarize}")
     else:
-        summary, tables = write_tables(folder, settings, jobs)
-        numbers |= summary
+        report = write_tables(folder, settings, jobs)
+        numbers |= report.numbers
         failed = numbers["failed"]
-        _print(folder, numbers, tables)
+        _print(folder, numbers, report.tables)
     write_numbers(json, numbers | {"seconds": time.perf_counter() - started})
     return SOME_FAILED if failed else 0
 

@@ -1,23 +1,21 @@
 """`gsrain reconstruct` and `gsrain recolor`: scenes from captures, and new colors from images."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import msgspec
 
-from gsrain_engine.datasets.capture import Capture
 from gsrain_engine.datasets.image_override import with_images
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.editor.jobs.training import require_torch
 from gsrain_engine.recolor.problem import RecolorSettings
 from gsrain_engine.recolor.recolor import RecolorOptions, recolor_to_capture
 from gsrain_engine.report.page import write_report
-from gsrain_engine.report.table import Table, columns
 from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.scene.open import load_scene
 from gsrain_engine.training.settings import TrainingSettings, load_settings, settings_names
 
-from .console import Console, print, print_lines, run_with_progress
+from .console import print, print_lines, run_with_progress
 from .options import (
     AllowOutside,
     JsonFile,
@@ -27,8 +25,6 @@ from .options import (
     options_of,
 )
 from .outputs import check_scene_folder, check_writable, lock_outputs, report_path, write_numbers
-
-_COLUMNS = 110
 
 SceneFolder = Annotated[Path, option("Scene folder to write.", "--output", "-o")]
 Report = Annotated[Path | None, option("HTML report of the run; default: SCENE.report.html in the folder of SCENE.")]
@@ -64,6 +60,7 @@ def reconstruct(
     # Loading torch takes two seconds, so import it only after the checks.
     from gsrain_engine.training.data import ReconstructionTask
     from gsrain_engine.training.train import reconstruct as work
+    from gsrain_engine.training.train import reconstruction_result
 
     task = ReconstructionTask(
         capture=capture, output=output, settings=settings, images=images, masks=masks, resume=resume, lpips=lpips,
@@ -75,41 +72,12 @@ def reconstruct(
         if task.checkpoint.is_file():
             print(f"stopped; go on with: gsrain reconstruct {capture} -o {output} --resume (and the same options)")
         raise
-    _print(result)
-    print(f"{output}: {result.gaussians:,} Gaussians in {result.seconds:.0f} s")
+    done = reconstruction_result(result, output)
+    print_lines(done.table.text)
+    for line in done.lines:
+        print(line)
     print(page)
-    write_numbers(json, result.numbers)
-
-
-def _print(result: Any) -> None:
-    console = _console(result.capture)
-    titled = columns({"view": "", "PSNR dB": ".2f", "exposed": ".2f", "SSIM": ".3f", "LPIPS": ".3f"})
-    rows = [
-        (f"{each.name}, {kind}", each.psnr_db, each.psnr_exposed_db, each.ssim, each.lpips)
-        for kind, scores in (("held out", result.held_out), ("learned from", result.learned))
-        for each in scores
-    ]
-    print_lines(Table("Views", titled, rows).text)
-    console.print(f"Own body: {result.own_body.line}")
-    _print_held_out(console, result.numbers, (
-        "({psnr_before_db:.2f} dB before training); {psnr_held_out_exposed_db:.2f} dB on their right halves, "
-        "exposure fitted on the left"
-    ))  # fmt: skip
-
-
-def _console(capture: Capture) -> Console:
-    """Return a console for the results, after the problems of the capture."""
-    console = Console(width=_COLUMNS)
-    for problem in capture.problems:
-        console.print(f"  {problem}")
-    return console
-
-
-def _print_held_out(console: Console, numbers: dict[str, Any], comparison: str) -> None:
-    if numbers["psnr_held_out_db"] is None:
-        console.print("No view was held out: how well it shows new views is not known.")
-    else:
-        console.print(f"Held-out views: {numbers['psnr_held_out_db']:.2f} dB {comparison.format(**numbers)}")
+    write_numbers(json, done.numbers)
 
 
 # gsrain recolor
@@ -143,26 +111,14 @@ def recolor(
     pictures = open_capture(capture or images)
     if capture is not None:
         pictures = with_images(pictures, images)
-    done = run_with_progress(recolor_to_capture(load_scene(scene), pictures, options))
-    write_scene(done.scene, output)
-    _print_recolor(done, pictures)
+    recolored = run_with_progress(recolor_to_capture(load_scene(scene), pictures, options))
+    write_scene(recolored.scene, output)
+    done = recolored.result
+    print_lines(done.table.text)
+    for line in done.lines:
+        print(line)
     colors = "new" if options.replace_clear else "clear and wet"
-    print(f"{output}: {done.scene.gaussian_count:,} Gaussians, {colors} colors")
-    write_report(page, done.report)
+    print(f"{output}: {recolored.scene.gaussian_count:,} Gaussians, {colors} colors")
+    write_report(page, recolored.report)
     print(page)
     write_numbers(json, done.numbers)
-
-
-def _print_recolor(run: Any, images: Capture) -> None:
-    console = _console(images)
-    titled = {"view": "", "clear dB": ".2f", "mapped dB": ".2f", "recoloured dB": ".2f", "trust": ""}
-    rows = [
-        (
-            view.name, view.psnr_clear_db, view.psnr_mapped_db, view.psnr_db,
-            "held out" if view.is_held_out else f"{view.trust:.2f}",
-        )
-        for view in run.recolored.views
-    ]  # fmt: skip
-    print_lines(Table("Views", columns(titled), rows).text)
-    comparison = "({psnr_before_db:.2f} dB clear, {psnr_mapped_db:.2f} dB after the color map), in {seconds:.1f} s"
-    _print_held_out(console, run.numbers, comparison)

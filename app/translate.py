@@ -1,25 +1,16 @@
 """`gsrain transfer` and `gsrain train-transfer`: rainy views from clear ones, and fine-tuning of the model."""
 
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-import msgspec
-import numpy as np
 from cyclopts import Parameter
-from jaxtyping import Bool, Float64
 
 from gsrain_engine.appearance import output_folder
 from gsrain_engine.appearance.base import (
-    ClearView,
-    NetworkTransfer,
-    RainyView,
-    SkippedCounts,
     TransferSettings,
 )
-from gsrain_engine.appearance.capture_views import CaptureViews
 from gsrain_engine.appearance.finetune.dataset import ImageSettings
 from gsrain_engine.appearance.finetune.settings import (
     FinetuneResult,
@@ -28,9 +19,9 @@ from gsrain_engine.appearance.finetune.settings import (
     finetuning_names,
     load_finetuning,
 )
-from gsrain_engine.appearance.registry import find_method, missing_for_transfer, open_transfer
-from gsrain_engine.appearance.scene_views import OWN_WIDTH_PX, ViewChoice, chosen_cameras, chosen_views, scene_views
-from gsrain_engine.appearance.wet_look.environment import ImageEnvironment, ReflectionEnvironment, SceneEnvironment
+from gsrain_engine.appearance.registry import find_method, missing_for_transfer
+from gsrain_engine.appearance.scene_views import ViewChoice
+from gsrain_engine.appearance.session import source_views, transfer_views
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.datasets.open_source import missing_source, names_scene
 from gsrain_engine.editor.jobs.training import HOW_TO_GET_DIFFUSION, require_torch
@@ -42,7 +33,7 @@ from gsrain_engine.report.table import Table, columns
 from gsrain_engine.safe_io.errors import MissingInputsError
 from gsrain_engine.scene.open import load_scene
 
-from .console import Console, print, print_lines, progress_bar, run_with_progress
+from .console import Console, print, print_lines, run_with_progress
 from .options import (
     AllowOutside,
     JsonFile,
@@ -50,6 +41,7 @@ from .options import (
     check_within,
     flag,
     let_names_lead_outside,
+    named_options,
     option,
     options_of,
     with_trust,
@@ -130,91 +122,16 @@ def transfer(
     output_folder.check_transferred_folder(output)
     chosen.check(settings, (source, capture))
     lock_outputs(output)
-    opened = source_views(source, choice, capture)
-    model = open_transfer(chosen.method, settings, opened.surroundings)
-    values = msgspec.to_builtins(settings, enc_hook=str) | msgspec.to_builtins(choice) | {"width_px": opened.width_px}
-    network = model.network_input(opened.views[0]) if isinstance(model, NetworkTransfer) else None
-    framing: dict[str, Any] = {} if network is None else msgspec.to_builtins(network)
-    values |= framing
-    record = output_folder.TransferRecord(chosen.method, opened.name, values, opened.to_world)
-    rainy = output_folder.write_transferred(output, model.transferred(opened.views), record, opened.mask)
-    numbers = {"method": chosen.method, "width_px": opened.width_px, **framing}
-    numbers |= _write_views(rainy, len(opened.views), contact_sheet)
-    for note in numbers["notes"]:
-        print(note)
-    made = f"{numbers['views']} rainy views of {opened.name}"
-    if network is not None:
-        print(network.words)
-    print(f"{output}: {made}, {opened.width_px} px wide, in {numbers['seconds']:.1f} s")
+    recording = None if capture is None else open_capture(capture)
+    with named_options(ViewChoice, "capture"):
+        views = source_views(load_scene(source) if names_scene(source) else open_capture(source), choice, recording)
+    done = run_with_progress(transfer_views(views, chosen.method, settings, choice, output))
+    for line in done.lines:
+        print(line)
     if contact_sheet is not None:
+        write_image(contact_sheet, done.figure)
         print(contact_sheet)
-    write_numbers(json, numbers)
-
-
-def _write_views(rainy: Iterator[RainyView], count: int, sheet: Path | None) -> dict[str, Any]:
-    """Make the views with a progress bar; returns the numbers of `--json`."""
-    started, films, pictures = time.perf_counter(), list[float](), output_folder.ContactSheet(count)
-    made, left_out = 0, SkippedCounts()
-    with progress_bar("Rainy views", count) as advance:
-        for view in rainy:
-            made += 1
-            left_out.add(view)
-            if view.film is not None:
-                films.append(float(view.film.mean()))
-            if sheet is not None:
-                pictures.add(view)
-            advance()
-    seconds = time.perf_counter() - started
-    if sheet is not None:
-        write_image(sheet, pictures.picture())
-    return {
-        "views": made,
-        "seconds": round(seconds, 3),
-        "seconds_per_view": round(seconds / max(made, 1), 3),
-        "film_share_mean": round(float(np.mean(films)), 5) if films else None,
-        "notes": list(left_out.sentences),
-    }
-
-
-# Source views
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SourceViews:
-    """Views in the world, computed on demand, and their surroundings."""
-
-    name: str
-    views: Sequence[ClearView]
-    surroundings: ReflectionEnvironment
-    to_world: Float64[np.ndarray, "4 4"]
-    """Similarity from the units and axes of the scene or capture to the world."""
-    width_px: int
-    """Width of the widest image."""
-    mask: Callable[[str], Bool[np.ndarray, "h w"] | None]
-    """Mask of pixels to learn from, by view name; None means all."""
-
-
-def source_views(source: str, choice: ViewChoice, capture: Path | None) -> SourceViews:
-    """Open a scene or a capture; `capture` provides a scene's recorded cameras.
-
-    Raises ValueError, which names the option, if the choice doesn't fit.
-    """
-    if names_scene(source):
-        if choice.source == "recorded" and capture is None:
-            raise ValueError("--views recorded needs --capture, where the cameras come from")
-        scene = load_scene(source)
-        placed = chosen_cameras(scene, choice, None if capture is None else open_capture(capture), OWN_WIDTH_PX)
-        views, around = scene_views(scene, placed), SceneEnvironment(scene)
-        width_px = max(each.camera.width for each in placed)
-        return SourceViews(scene.name, views, around, scene.scene_to_world, width_px, lambda name: None)
-    if choice.source not in ("auto", "recorded"):
-        raise ValueError(f"--views {choice.source}: {source} is a capture, whose views are those of its pictures")
-    if capture is not None:
-        raise ValueError(f"--capture: {source} is a capture itself")
-    max_px = choice.width_px or OWN_WIDTH_PX
-    opened = chosen_views(open_capture(Path(source)), choice)
-    views, width_px = CaptureViews(opened, max_px), max(min(max_px, view.camera.width) for view in opened)
-    return SourceViews(opened.name, views, ImageEnvironment(), views.to_world, width_px, views.mask)
+    write_numbers(json, done.numbers)
 
 
 # gsrain train-transfer

@@ -25,7 +25,7 @@ def main(out: Path, scene: str) -> None:
         seeds=2,
         jitter=Jitter(ahead_m=1.0),
     )
-    told = run_to_end(run_sweep_and_report(sweep, out / "sweep"), lambda step: print(step.message))
+    told = run_to_end(run_sweep_and_report(sweep, out / "sweep"), lambda step: print(step.message)).numbers
     for cell in told["cells"]:
         print(f"{cell['agent']} at {cell['intensity_mm_h']:g} mm/h: {cell['collisions']} of {cell['runs']} collide")
     for error, count in told["errors"].items():

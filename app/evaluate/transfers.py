@@ -11,6 +11,7 @@ from PIL import Image
 from gsrain_engine.appearance import output_folder
 from gsrain_engine.appearance.registry import find_method
 from gsrain_engine.appearance.scene_views import chosen_views
+from gsrain_engine.appearance.session import source_views
 from gsrain_engine.datasets.capture import Capture
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.datasets.open_source import names_scene
@@ -25,7 +26,7 @@ from gsrain_engine.report.numbers import provenance_lines, run_provenance, versi
 from gsrain_engine.report.page import ReportFigure, RunReport, write_report
 from gsrain_engine.safe_io.errors import MissingInputsError
 from gsrain_engine.safe_io.fingerprints import input_fingerprint
-from gsrain_engine.scene.open import scene_hash
+from gsrain_engine.scene.open import load_scene, scene_hash
 
 from .. import outputs
 from ..console import print, print_lines, run_with_progress
@@ -122,9 +123,8 @@ def _opened(settings: results.TransferComparison) -> tuple[translators.ComparedS
         capture = chosen_views(open_capture(settings.source), choice)
         stamp = input_fingerprint(Path(settings.source))
         return translators.capture_source(capture, settings.width_px, stamp), real
-    from ..translate import source_views  # kernels take a second to load
-
-    opened = source_views(settings.source, choice, settings.capture)
+    recording = None if settings.capture is None else open_capture(settings.capture)
+    opened = source_views(load_scene(settings.source), choice, recording)
     files = [each for each in (settings.source, settings.capture) if each is not None]
     stamp = "-".join(input_fingerprint(Path(each)) for each in files)
     views = opened.views, opened.surroundings, opened.to_world, opened.mask

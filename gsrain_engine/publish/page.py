@@ -20,16 +20,20 @@ from typing import Any
 
 import jinja2
 import numpy as np
+from jaxtyping import UInt8
 from markupsafe import Markup
 from msgspec import structs
 
+from ..backends import open_renderer
 from ..rain.settings import RainSettings
 from ..rain.simulation import RainSimulation
 from ..render.cpu.splats import NEAR_M
 from ..render.opengl.shaders import ShaderSource
 from ..render.renderer import Renderer
-from ..render.sequence import FrameSequence
+from ..render.sequence import FrameSequence, render_image
 from ..render.view import RenderView, rain_camera
+from ..report.result import JobResult
+from ..report.table import Table, columns
 from ..scene.files import whole_file
 from ..scene.geometry import quaternions_from_matrices
 from ..scene.progress import Progress
@@ -128,6 +132,38 @@ def write_page(
     with whole_file(output) as written:
         written.write_text(page_html(contents), encoding="utf-8")
     return contents
+
+
+def publish_page(
+    renderer: Renderer,
+    scene: Scene,
+    rain: RainSettings,
+    sequence: FrameSequence,
+    path_name: str,
+    output: Path,
+    duration_s: float | None = None,
+) -> Generator[Progress, None, JobResult[Path]]:
+    """Write a page as `write_page` does, and return its numbers; the figure is its first view."""
+    contents = yield from write_page(renderer, scene, rain, sequence, path_name, output, duration_s)
+    page_bytes, rates = output.stat().st_size, [state["intensity"] for state in contents.rain.states]
+    numbers = {
+        "bytes": page_bytes, "sog_bytes": len(contents.scene.sog), "cameras": len(contents.views),
+        "intensities_mm_h": rates,
+    }  # fmt: skip
+    length = f"{sequence.length_s or 0.0:.3g} s of path" if len(contents.views) > 1 else "one place"
+    lines = (
+        f"{output}: {page_bytes / 1e6:.1f} MB, {length}, {len(rates)} intensities",
+        f"not on the page: {', '.join(contents.missing)}",
+    )
+    rows = [(name, value if isinstance(value, int) else len(value)) for name, value in numbers.items()]
+    table = Table(f"Page of {scene.name}", columns({"number of": "", "value": ","}), rows)
+    first = contents.views[0]
+
+    def draw() -> UInt8[np.ndarray, "h w 3"]:
+        with open_renderer("cpu") as own:
+            return render_image(own, scene, rain, first.camera, first.time_s).to_uint8()
+
+    return JobResult(made=output, table=table, numbers=numbers, lines=lines, draw=draw)
 
 
 def left_out_of_page(scene: Scene) -> list[str]:

@@ -14,7 +14,10 @@ from ..appearance.base import ClearView, Transfer
 from ..appearance.wet_look.settings import WetSettings
 from ..datasets.capture import Capture
 from ..evaluation.image_metrics import compare_images, psnr
+from ..report.charts import comparison_sheet
 from ..report.page import ReportCurve, RunReport
+from ..report.result import JobResult
+from ..report.table import Table, columns
 from ..scene.progress import Progress, subprogress
 from ..scene.scene import Scene
 from ..settings import Settings
@@ -209,6 +212,31 @@ class RecolorRun:
     recolored: RecolorResult
     report: RunReport
     numbers: dict[str, Any]
+    problems: tuple[str, ...] = ()
+    """Of the capture."""
+
+    @property
+    def result(self) -> JobResult[Scene]:
+        """The scene with its numbers; the figure compares views, rendered on the left."""
+        titled = {"view": "", "clear dB": ".2f", "mapped dB": ".2f", "recolored dB": ".2f", "trust": ""}
+        rows = [
+            (
+                view.name, view.psnr_clear_db, view.psnr_mapped_db, view.psnr_db,
+                "held out" if view.is_held_out else f"{view.trust:.2f}",
+            )
+            for view in self.recolored.views
+        ]  # fmt: skip
+        line = "No view was held out: how well it shows new views is not known."
+        if self.numbers["psnr_held_out_db"] is not None:
+            line = (
+                "Held-out views: {psnr_held_out_db:.2f} dB ({psnr_before_db:.2f} dB clear, {psnr_mapped_db:.2f} dB "
+                "after the color map), in {seconds:.1f} s"
+            ).format(**self.numbers)
+        table, page = Table("Views", columns(titled), rows), self.report
+        return JobResult(
+            made=self.scene, table=table, numbers=self.numbers, lines=(*self.problems, line), page=page,
+            draw=lambda: comparison_sheet(page.comparisons),
+        )  # fmt: skip
 
 
 def recolor_to_capture(
@@ -252,7 +280,8 @@ def recolor_to_capture(
             result = result.with_member(key, gaussians=new.with_sh(clear.sh), wet_sh=new.sh)
     yield Progress(1.0, "Done")
     numbers = _numbers(scene, recolored)
-    return RecolorRun(result, recolored, _run_report(scene, capture, recolored, options, numbers), numbers)
+    report = _run_report(scene, capture, recolored, options, numbers)
+    return RecolorRun(result, recolored, report, numbers, capture.problems)
 
 
 def _polished(recolored: RecolorResult, options: RecolorOptions) -> Generator[Progress, None, RecolorResult]:

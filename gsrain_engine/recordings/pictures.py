@@ -26,10 +26,13 @@ Colors = UInt8[np.ndarray, "h w 3"]
 class RainyPictures(Protocol):
     """Source of the rainy pictures of a recording."""
 
-    written: int
-    """Number of pictures so far."""
     provenance: dict[str, PictureProvenance]
     """Provenance of each, by the names of their views."""
+
+    @property
+    def written(self) -> int:
+        """Number of pictures so far."""
+        ...
 
     def rainy(self, view: CaptureFrame, photo: Colors) -> Colors:
         """Return a picture of the size of a view's photograph; the same array without rain."""

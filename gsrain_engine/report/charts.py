@@ -114,6 +114,19 @@ class ImageComparison:
     lpips: float | None = None
 
 
+_SHEET_ROWS, _SHEET_WIDTH_PX = 4, 640
+
+
+def comparison_sheet(comparisons: Sequence[ImageComparison]) -> UInt8[np.ndarray, "h w 3"]:
+    """Draw the first views below each other, each rendered on the left and true on the right."""
+    rows: list[UInt8[np.ndarray, "h w 3"]] = []
+    for each in comparisons[:_SHEET_ROWS]:
+        pair = np.concatenate([each.rendered, each.truth], axis=1)
+        height = max(round(pair.shape[0] * 2 * _SHEET_WIDTH_PX / pair.shape[1]), 1)
+        rows.append(cv2.resize(pair, (2 * _SHEET_WIDTH_PX, height), interpolation=cv2.INTER_AREA).astype(np.uint8))
+    return np.concatenate(rows) if rows else np.zeros((1, 2 * _SHEET_WIDTH_PX, 3), np.uint8)
+
+
 # Data URIs and the error color scale
 
 LARGEST_ERROR = 0.25  # upper end of the error color scale (of 1), the same in all reports for comparability

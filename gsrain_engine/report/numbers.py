@@ -8,9 +8,16 @@ import sys
 from collections.abc import Iterable, Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
+
+import lazy_loader
 
 from ..scene.files import whole_file
+
+if TYPE_CHECKING:
+    import msgspec
+else:
+    msgspec = lazy_loader.load("msgspec")  # every command imports this module
 
 
 def finite_numbers(value: Any) -> Any:
@@ -41,6 +48,20 @@ def run_provenance(inputs: Mapping[str, str], packages: Iterable[str] = ()) -> d
     """Return the provenance for a file of numbers: `inputs` are hashes by name, `packages` the relevant ones."""
     versions = {name: version_of(name) for name in ("gsrain", "numpy", *packages)}
     return {"command": command_line(), "versions": versions, "inputs": dict(inputs)}
+
+
+def provenance_file(output: Path) -> Path:
+    """Return the file beside an output, a file or a folder, that holds its provenance."""
+    return output.with_suffix(".provenance.json") if output.suffix else Path(f"{output}.provenance.json")
+
+
+def write_provenance(
+    output: Path, pictures: "Mapping[str, msgspec.Struct]", file: Path | None = None
+) -> dict[str, Any]:
+    """Write what the pictures of an output hold, by name, beside it or to a file; returns it for other files."""
+    facts = run_provenance({}) | {"pictures": {name: msgspec.to_builtins(each) for name, each in pictures.items()}}
+    write_json(file or provenance_file(output), facts)
+    return {"provenance": facts}
 
 
 def provenance_lines(facts: Mapping[str, Any]) -> dict[str, str]:

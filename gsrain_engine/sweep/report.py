@@ -1,8 +1,9 @@
 """Tables, summary figures and HTML report of a sweep."""
 
+import shutil
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -32,11 +33,41 @@ from .results import Row, SummaryCell, SweepFolder, by_scenario
 from .settings import DriveSweep, RenderSweep, Sweep
 
 
-def write_tables(folder: SweepFolder, sweep: Sweep, jobs: Sequence[Job]) -> tuple[dict[str, Any], tuple[Table, ...]]:
+@dataclass(frozen=True, eq=False)
+class SweepReport:
+    """Numbers, tables and figures of a sweep, as they stand in its folder."""
+
+    folder: Path
+    numbers: Mapping[str, Any]
+    """Those of summary.json."""
+    tables: tuple[Table, ...]
+    figures: tuple[ReportFigure, ...]
+
+    @property
+    def table(self) -> Table:
+        return self.tables[0]
+
+    @property
+    def figure(self) -> Image.Image | None:
+        """The first figure; None for clips, which have none."""
+        return Image.fromarray(self.figures[0].pixels) if self.figures else None
+
+    def save(self, folder: Path | str) -> list[str]:
+        """Copy tables, figures, numbers and page to another folder; returns their names there."""
+        place, own = Path(folder), ("table.csv", "table.parquet", "summary.json", "report.html")
+        files = [*own, *(f"figures/{each.name}" for each in sorted((self.folder / "figures").glob("*.png")))]
+        for name in files:
+            (place / name).parent.mkdir(parents=True, exist_ok=True)
+            with whole_file(place / name) as partial:
+                shutil.copyfile(self.folder / name, partial)
+        return files
+
+
+def write_tables(folder: SweepFolder, sweep: Sweep, jobs: Sequence[Job]) -> SweepReport:
     """Merge the existing rows into table.parquet, table.csv, summary.json, figures and report.html.
 
-    All files except the report are byte-identical for the same rows. Returns the summary as plain values, and the
-    tables of the report. Raises ValueError if there are no rows, and OSError if a file can't be written.
+    All files except the report are byte-identical for the same rows. Raises ValueError if there are no rows, and
+    OSError if a file can't be written.
     """
     found = folder.read(jobs)
     rows = [found[job.id] for job in jobs if job.id in found]
@@ -69,7 +100,7 @@ def write_tables(folder: SweepFolder, sweep: Sweep, jobs: Sequence[Job]) -> tupl
             partial.write_bytes(data)
     tables = tuple(_tables(sweep, rows, cells, shares))
     write_report(folder.path / "report.html", sweep_report_page(folder.path.name, sweep, numbers, figures, tables))
-    return numbers, tables
+    return SweepReport(folder.path, numbers, tables, tuple(figures))
 
 
 def _written_figures(folder: Path, scenarios: Sequence[Sequence[SummaryCell]]) -> list[ReportFigure]:

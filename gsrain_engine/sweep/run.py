@@ -4,7 +4,7 @@ from collections.abc import Generator, Sequence
 from contextlib import closing
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple, cast
 
 from ..scene.progress import Progress
 from ..simulation.agents.registry import agent_code, agent_file
@@ -12,7 +12,7 @@ from ..simulation.interop.hugsim_agent import missing_client_files
 from ..trusted_code import Code, check_trusted, command_code
 from .executors import Executor, LocalPool
 from .expansion import DriveJob, Job, jobs_of
-from .report import write_tables
+from .report import SweepReport, write_tables
 from .results import SweepFolder
 from .settings import Sweep
 from .worker import JobResult, run_job
@@ -86,13 +86,10 @@ def _stopped(folder: SweepFolder, reason: str, done: int) -> str:
 
 def run_sweep_and_report(
     sweep: Sweep, folder: Path, engine: Executor | None = None
-) -> Generator[Progress, None, dict[str, Any]]:
+) -> Generator[Progress, None, SweepReport]:
     """Run the missing jobs of a sweep and write tables, figures and report; yields progress after each job.
 
     Existing rows are kept, so a stopped or extended sweep continues. Without `engine`, half of the cores are used.
-
-    Returns:
-        The numbers of `summary.json`.
 
     Raises:
         ValueError: If the settings give no valid jobs; `UntrustedCodeError` for agents in Python files that are not
@@ -102,4 +99,4 @@ def run_sweep_and_report(
     target, jobs = SweepFolder(folder), jobs_of(sweep)
     target.describe(sweep, jobs)
     yield from run_sweep(target.to_do(jobs), engine or LocalPool(), target)
-    return write_tables(target, sweep, jobs)[0]
+    return write_tables(target, sweep, jobs)

@@ -19,8 +19,10 @@ from ..evaluation.image_metrics import ImageDistance, compare_images
 from ..evaluation.lpips import Lpips
 from ..evaluation.lpips_weights import find_lpips_weights, read_lpips_weights
 from ..render.gsplat_build import GsplatBuildError, build_gsplat
-from ..report.charts import ImageComparison
+from ..report.charts import ImageComparison, comparison_sheet
 from ..report.page import ReportCurve, RunReport, write_report
+from ..report.result import JobResult
+from ..report.table import Table, columns
 from ..safe_io.numpy_files import read_archive
 from ..scene.formats.scene_files import write_scene
 from ..scene.gaussians import Gaussians
@@ -154,7 +156,7 @@ def reconstruct(task: ReconstructionTask, opened: Capture | None = None) -> Gene
     scene = scene_of(started.training.model, capture, keep_lenses=task.settings.keep_lenses)
     write_scene(scene, task.output)
     if task.report is not None:
-        write_training_report(task.report, result)
+        write_report(task.report, training_page(result))
     task.checkpoint.unlink(missing_ok=True)
     yield Progress(1.0, f"{result.gaussians:,} Gaussians")
     return result
@@ -402,7 +404,31 @@ def _perceived(lpips: Path | None, device: str) -> ImageDistance | None:
 _SMOOTHED_STEPS = 25  # smoothing window: each step uses another view, so single losses vary
 
 
-def write_training_report(file: Path, result: TrainingReport) -> None:
+def reconstruction_result(result: TrainingReport, output: Path) -> JobResult[Path]:
+    """Return the written scene with its numbers; the figure compares views, rendered on the left."""
+    titled = columns({"view": "", "PSNR dB": ".2f", "exposed": ".2f", "SSIM": ".3f", "LPIPS": ".3f"})
+    rows = [
+        (f"{each.name}, {kind}", each.psnr_db, each.psnr_exposed_db, each.ssim, each.lpips)
+        for kind, scores in (("held out", result.held_out), ("learned from", result.learned))
+        for each in scores
+    ]
+    numbers, page = result.numbers, training_page(result)
+    line = "No view was held out: how well it shows new views is not known."
+    if numbers["psnr_held_out_db"] is not None:
+        line = (
+            "Held-out views: {psnr_held_out_db:.2f} dB ({psnr_before_db:.2f} dB before training); "
+            "{psnr_held_out_exposed_db:.2f} dB on their right halves, exposure fitted on the left"
+        ).format(**numbers)
+    made = f"{output}: {result.gaussians:,} Gaussians in {result.seconds:.0f} s"
+    lines = (*result.capture.problems, f"Own body: {result.own_body.line}", line, made)
+    return JobResult(
+        made=output, table=Table("Views", titled, rows), numbers=numbers, lines=lines, page=page,
+        draw=lambda: comparison_sheet(page.comparisons),
+    )  # fmt: skip
+
+
+def training_page(result: TrainingReport) -> RunReport:
+    """Return the report of a reconstruction."""
     comparisons: list[ImageComparison] = []
     for each in [each for each in result.pictures if each.is_held_out] or result.pictures:
         truth = each.truth.astype(np.float32) / 255
@@ -410,11 +436,10 @@ def write_training_report(file: Path, result: TrainingReport) -> None:
         compared = compare_images(name, np.clip(each.rendered, 0, 1), truth, each.valid)
         comparisons.append(replace(compared, lpips=each.score.lpips))
     settings = {key: str(value) for key, value in msgspec.to_builtins(result.settings).items()}
-    report = RunReport(
+    return RunReport(
         f"Reconstruction of {result.capture.name}", settings, _curves(result), tuple(comparisons),
         result.seconds_by_stage, _headlines(result), result.capture.problems,
     )  # fmt: skip
-    write_report(file, report)
 
 
 def _curves(result: TrainingReport) -> tuple[ReportCurve, ...]:

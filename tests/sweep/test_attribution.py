@@ -109,7 +109,7 @@ def test_a_stopped_sweep_goes_on_and_its_tables_keep_parts_of_the_rain_apart(sce
     for stops_after, known in (2, 0), (None, 5):
         for _ in run_sweep(folder.to_do(jobs)[:stops_after], SerialExecutor(), folder):
             pass
-        numbers, _ = write_tables(folder, sweep, jobs)
+        numbers = write_tables(folder, sweep, jobs).numbers
         assert len(numbers["attribution"]) == known
     assert not folder.to_do(jobs) and len(folder.log.read_text().splitlines()) == 5
     for each in numbers["attribution"]:

@@ -174,7 +174,7 @@ def done(tmp_path_factory):
 
 def test_tables_figures_and_report_hold_the_rows_in_the_order_of_the_jobs(done):
     sweep, jobs, folder = done
-    numbers, _ = write_tables(folder, sweep, jobs)
+    numbers = write_tables(folder, sweep, jobs).numbers
     assert (numbers["jobs"], numbers["rows"], numbers["failed"]) == (8, 7, 0)
     rows = results.rows_in((folder.path / "table.parquet").read_bytes())
     assert [row["id"] for row in rows] == [job.id for job in jobs[:-1]] and rows == list(folder.read(jobs).values())
@@ -186,7 +186,7 @@ def test_tables_figures_and_report_hold_the_rows_in_the_order_of_the_jobs(done):
     lines = (folder.path / "jobs.jsonl").read_text().splitlines()
     assert lines == sorted(lines) and [msgspec.json.decode(line)["id"] for line in lines] == sorted(j.id for j in jobs)
     assert '"intensities_mm_h"' in (folder.path / "sweep.json").read_text()
-    numbers, _ = write_tables(folder, sweep, jobs[:3])  # rows of other settings are left out and counted
+    numbers = write_tables(folder, sweep, jobs[:3]).numbers  # rows of other settings are left out and counted
     assert (numbers["jobs"], numbers["rows"], numbers["other_rows"]) == (3, 3, 4)
 
 
@@ -204,7 +204,7 @@ def clips(tmp_path_factory):
 
 
 def test_clips_differ_in_rain_and_share_their_labels(clips, folder):
-    numbers = finished(run_sweep_and_report(clips, folder.path, SerialExecutor()))
+    numbers = finished(run_sweep_and_report(clips, folder.path, SerialExecutor())).numbers
     assert (numbers["rows"], numbers["failed"], numbers["cells"]) == (2, 0, [])
     jobs = jobs_of(clips)
     clear, rainy = (folder.read(jobs)[job.id] for job in jobs)

@@ -93,7 +93,7 @@ def test_a_grid_of_gaps_has_its_boundary_in_report_and_figures(tmp_path):
         [write_scenario(tmp_path / "short.yaml", write_road(tmp_path / "road"), duration_s=2.0)],
         gap_m=[15.0, 40.0], start_speed_m_s=[2.0, 9.0], seeds=1, intensities_mm_h=[0], jitter={},
     )  # fmt: skip
-    numbers = ended(run_sweep_and_report(jobs_of_grid, tmp_path / "out", SerialExecutor()))
+    numbers = ended(run_sweep_and_report(jobs_of_grid, tmp_path / "out", SerialExecutor())).numbers
     rates = {
         (cell["variant"]["start_speed_m_s"], cell["variant"]["gap_m"]): cell["collisions"] for cell in numbers["cells"]
     }
@@ -133,7 +133,7 @@ def test_hugsim_clients_drive_in_sweeps_and_a_dead_one_is_a_failed_row(tmp_path)
     with pytest.raises(UntrustedCodeError):
         ended(run_sweep_and_report(sweep, tmp_path / "out", SerialExecutor()))
     trust(command_code(each.hugsim.command).digest for each in sweep.agents)
-    numbers = ended(run_sweep_and_report(sweep, tmp_path / "out", SerialExecutor()))
+    numbers = ended(run_sweep_and_report(sweep, tmp_path / "out", SerialExecutor())).numbers
     rows = SweepFolder(tmp_path / "out").read(jobs_of(sweep)).values()
     assert {(row["agent"], row["status"]) for row in rows} == {("brake", "finished"), ("die", "failed")}
     assert all(row["error"] is None or "client" in row["error"] for row in rows)
