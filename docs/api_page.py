@@ -10,6 +10,7 @@ TOPICS = {
     "Scenes and cameras": "scenes",
     "Rain": "rain",
     "Images and videos": "rendering",
+    "Jobs": "jobs",
     "Driving": "driving",
     "The window": "viewer browser",
 }

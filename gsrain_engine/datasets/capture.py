@@ -155,13 +155,17 @@ class Capture:
     """
 
     name: str
+    """Of its folder, or of its drive in a data set."""
     views: tuple[CaptureFrame, ...]
+    """Images with their cameras and times; a capture is a sequence of these."""
     points_m: Float64[np.ndarray, "p 3"] | None = None
     """Surface points (COLMAP) in the world; None if the dataset has none."""
     point_colors: UInt8[np.ndarray, "p 3"] | None = None
     """Display color of each point."""
     sweeps: tuple[LidarSweep, ...] = ()
+    """Lidar turns in the world."""
     boxes: tuple[TrackedBox, ...] = ()
+    """Labeled objects with their 3D boxes over time."""
     ego: PoseTrack | None = None
     """Track of the vehicle: x forward, y left, z up, origin `EGO_HEIGHT_M` above the road."""
     is_metric: bool = True

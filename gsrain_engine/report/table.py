@@ -9,7 +9,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from ..safe_io.text_files import escape_invisible
 from ..scene.files import whole_file
@@ -131,6 +131,14 @@ class Table:
         titles = [(kind, each.title) for kind, each in zip(kinds, self.columns, strict=True)]
         count = len(self.rows)
         return rendered("table.html", titles=titles, body=rows[:count], foot=rows[count:])
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows."""
+        below = "".join(f"<p>{escape(each)}</p>" for each in self._below())
+        return f"{self.html}{below}"
+
+    def __str__(self) -> str:
+        return self.text
 
     @property
     def json(self) -> list[dict[str, Any]]:

@@ -24,13 +24,21 @@ class Camera:
     """Intrinsics in pixels, pose as world to camera. Pixel (0, 0) has its center at (0.5, 0.5)."""
 
     width: int
+    """Of the image in pixels."""
     height: int
+    """Of the image in pixels."""
     fx: float
+    """Focal length in pixels along x, to the right."""
     fy: float
+    """Focal length in pixels along y, downward."""
     cx: float
+    """Principal point in pixels from the left edge."""
     cy: float
+    """Principal point in pixels from the upper edge."""
     world_to_camera: Float64[np.ndarray, "4 4"] = field(default_factory=lambda: np.eye(4))
+    """Pose: a rotation and a shift from the world (meters, z up) to the camera (x right, y down, z ahead)."""
     exposure_s: float = DEFAULT_EXPOSURE_S
+    """Shutter time in seconds, in which drops make streaks."""
     lens: Lens | None = None
     """None is a pinhole."""
     rolling: RollingShutter | None = None
@@ -45,6 +53,12 @@ class Camera:
         """Build a camera with square pixels and a centered principal point."""
         f = 0.5 * height / np.tan(np.radians(vertical_fov_deg) / 2)
         return cls(width, height, float(f), float(f), width / 2, height / 2, world_to_camera)
+
+    def shifted(self, right: float = 0.0, down: float = 0.0, ahead: float = 0.0) -> "Camera":
+        """Return the camera at another place, moved in meters along its own axes; it looks in the same direction."""
+        pose = self.world_to_camera.copy()
+        pose[:3, 3] -= (right, down, ahead)
+        return replace(self, world_to_camera=pose)
 
     @property
     def camera_to_world(self) -> Float64[np.ndarray, "4 4"]:

@@ -124,8 +124,9 @@ class DetectionReport:
             "rows": [row.plain() for row in self.rows],
         }
 
-    def save(self, folder: Path) -> list[str]:
+    def save(self, folder: Path | str) -> list[str]:
         """Write tables, figures, the report page and numbers into a folder; returns the names of the files."""
+        folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
         written = ["rows.csv", "detection.json"]
         summary.write_csv(folder / "rows.csv", self.rows)
@@ -149,6 +150,33 @@ class DetectionReport:
             write_image(folder / name, Image.fromarray(pixels))
         write_report(folder / "report.html", _page(self, list(figures.values())))
         return [*written, *figures, *truths, "report.html"]
+
+
+@dataclass(frozen=True, eq=False)
+class RainShares:
+    """Shares of the parts of the rain in what it does to detectors."""
+
+    report: DetectionReport
+    """Of the evaluation that they are computed from."""
+
+    @property
+    def shares(self) -> Sequence[Attribution]:
+        """Shares in the change of confidence and recall, of all objects together."""
+        return [each for each in self.report.shares if each.measure.object is None]
+
+    @property
+    def table(self) -> Table:
+        """The share of each part, with its interval over the seeds."""
+        return share_table(self.shares)
+
+    @property
+    def figure(self) -> Image.Image:
+        """The shares as bars."""
+        return Image.fromarray(share_figure(self.shares))
+
+    def save(self, folder: Path | str) -> list[str]:
+        """Write all of the evaluation into a folder; returns the names of the files."""
+        return self.report.save(folder)
 
 
 def detection_report(

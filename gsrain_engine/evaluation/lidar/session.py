@@ -221,8 +221,9 @@ class LidarReport:
     def _runs(self) -> list[RainRunCounts]:
         return [run for runs in self.by_intensity.values() for run in runs]
 
-    def save(self, folder: Path) -> list[str]:
+    def save(self, folder: Path | str) -> list[str]:
         """Write figure, table, numbers and page into a folder; returns the names of the files."""
+        folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
         report, figure = self.plain, self.figure
         write_image(folder / "lidar.png", figure)
