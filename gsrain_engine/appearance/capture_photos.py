@@ -24,7 +24,7 @@ from ..scene.scene import Scene
 from .base import ClearView
 from .capture_views import near_measured, vehicle_pixels
 from .normals import normals_from_depth
-from .overcast_photos import LightOfPhoto
+from .overcast_photos import LightOfPhoto, whole_sky
 
 Colors = UInt8[np.ndarray, "h w 3"]
 Depth = Float32[np.ndarray, "h w"]
@@ -108,7 +108,7 @@ class CapturePhotos:
         """Surfaces and certain sky of a photograph without distortion."""
         sky = small.sky
         if sky is None:
-            sky = certain_sky(small.image).pixels & ~near_measured(measured)
+            sky = whole_sky(certain_sky(small.image).pixels, small.image, near_measured(measured))
         depth = np.where(sky, np.float32(0), depth)
         camera = small.camera.moved(self.world.scene_to_world)
         vehicles = vehicle_pixels(small, self._capture.boxes, depth).astype(np.float32)

@@ -1,6 +1,6 @@
 """Light of single photographs under rain clouds: sun and shadows are softened by the wet look's relighting."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import NamedTuple
@@ -35,6 +35,7 @@ from .wet_look.masks import smoothstep, surfaces_of
 from .wet_look.settings import WetSettings
 
 Colors = UInt8[np.ndarray, "h w 3"]
+Flags = Bool[np.ndarray, "h w"]
 
 SOFTENED_ABOVE_MM_H = 2.5
 """Intensity above which the light is softened: that of moderate rain (American Meteorological Society, Glossary of
@@ -67,7 +68,7 @@ class LightOfPhoto:
         """Return the photograph in a light of `light_in`."""
         return self._softened.pixels if light.is_softened else self._photo
 
-    def sky(self, light: PhotoLight) -> Bool[np.ndarray, "h w"] | None:
+    def sky(self, light: PhotoLight) -> Flags | None:
         """Return the sky that is closed in a light of `light_in`; None if none is."""
         return self._softened.sky if light.is_softened else None
 
@@ -92,6 +93,19 @@ class LightOfPhoto:
     @cached_property
     def _softened(self) -> "SoftenedPhoto":
         return softened_photo(self._photo, self._camera, self._view, self._illumination, self._judged.sun)
+
+
+def whole_sky(sure: Flags, image: Colors, measured: Flags) -> Flags:
+    """Add what is connected with certain sky, deep blue and not measured: gaps between bright clouds.
+
+    `measured` are the pixels of which a distance is known, and those around them.
+    """
+    red, blue = image[..., 0].astype(np.float32) / 255, image[..., 2].astype(np.float32) / 255
+    deep, least = _DEEP_BLUE
+    may_be = (sure | ((blue - red > deep) & (blue > least))) & ~measured
+    joined = cv2.morphologyEx(may_be.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
+    _, parts = cv2.connectedComponents(joined, connectivity=4)
+    return may_be & np.isin(parts, np.unique(parts[sure & may_be])) & (joined > 0)
 
 
 # Sun of one photograph
@@ -161,15 +175,24 @@ _EDGE_SHARE, _SPREAD = 0.01, 0.03
 """Radius of the fits as a share of the image width, and deviation of brightness (display) that is an edge."""
 _SKY_SHARE, _SKY_SPREAD = 0.02, 0.03  # the same of the sky's edge
 _BLACK = 0.02  # display brightness below which ratios are drawn to 1: noise has no color
-_RATIOS = (0.25, 3.0)
-_THIN = 0.05  # display brightness by which wires and twigs before the sky are darker than it
+_RATIOS, _TINTS = (0.25, 1.7), (0.92, 1.08)
+"""Ratios of display brightness, within which noise of shadows doesn't show, and those of a color over it."""
+_WHITE, _WHITE_RATIO = (0.6, 0.95), 0.8
+"""Display brightness of white things off the ground, and the least share of it that they keep."""
+_GRAIN_SHARE = 0.004  # size of a photograph's grain as a share of the image width
+_TWIG_SHARE, _CLEAR = 0.006, (0.96, 0.82)
+"""Width of thin things before the sky as a share of the image width; share of the brightness of the sky next to them,
+and of the broader sky, from which a pixel has nothing in front of it."""
+_NEXT_TO, _AS_BRIGHT = 0.2, (0.75, 0.95)
+"""Share of sky from which, and ramp of brightness over the sky's over which, a pixel at its edge is sky."""
+_DEEP_BLUE = (0.15, 0.45)  # least blue over red, and blue (display), of sky that is darker than what is certain
 
 
 class SoftenedPhoto(NamedTuple):
     """Photograph under clouds."""
 
     pixels: Colors
-    sky: Bool[np.ndarray, "h w"]
+    sky: Flags
     """Pixels of the closed sky."""
 
 
@@ -179,8 +202,7 @@ def softened_photo(
     """Return a photograph under clouds, by the confidence in its sun; all else stays, such as its grain.
 
     The wet look relights the small view; ratios of its colors, fitted by the brightness around each pixel, relight
-    the photograph. The sky gives way to clouds with what is in front of it: twigs and wires are differences to the
-    clear sky.
+    the photograph. The sky gives way to clouds; twigs and wires in front of it stay.
 
     Args:
         photo: In the camera's own lens and size.
@@ -190,8 +212,13 @@ def softened_photo(
         sun: Share of the softening, 0 to 1.
     """
     view = extend_sky_mask(view)
-    relit = linear_to_srgb(overcast_surfaces(view, light, _SETTINGS, surfaces_of(view)))
-    ratio = ((relit + _BLACK) / (remove_sky_color(view) + _BLACK)).astype(np.float32)
+    surfaces = surfaces_of(view)
+    relit = linear_to_srgb(overcast_surfaces(view, _without_cast(light), _SETTINGS, surfaces))
+    own = remove_sky_color(view)
+    ratio = ((relit + _BLACK) / (own + _BLACK)).astype(np.float32)
+    # White walls, plates and vehicles end up bright, as exposure would have them without the sun.
+    white = smoothstep(*_WHITE, own.min(axis=-1)) * (1 - surfaces.ground)
+    ratio = np.maximum(ratio, (_WHITE_RATIO * white)[..., None])
     behind, _ = local_sky(view.image, view.sky)
     cloud = linear_to_srgb(overcast_sky(view_directions(view.camera), _SETTINGS)).astype(np.float32)
     known, sky = (view.sky < 0.5).astype(np.float32), view.sky
@@ -207,34 +234,55 @@ def softened_photo(
     return _relit(photo, small, ratio, known > 0.5, sky, behind, cloud, sun)
 
 
+def _without_cast(light: IlluminationEstimate) -> IlluminationEstimate:
+    """Leave only that color of sun and shadow which differs: warm from blue. What both have is the camera's balance."""
+    (red, _, blue), (deep_red, _, deep_blue) = light.sunlit_tint_ev, light.shadow_tint_ev
+    half = max((red - blue) - (deep_red - deep_blue), 0.0) / 4
+    return replace(light, sunlit_tint_ev=(half, 0.0, -half), shadow_tint_ev=(-half, 0.0, half))
+
+
 def _relit(
-    photo: Colors,
-    small: Image,
-    ratio: Image,
-    known: np.ndarray,
-    sky: Plane,
-    behind: Image,
-    cloud: Image,
-    sun: float,
+    photo: Colors, small: Image, ratio: Image, known: Flags, sky: Plane, behind: Image, cloud: Image, sun: float
 ) -> SoftenedPhoto:
+    """Multiply a photograph by ratios of a small one; `behind` is the color of its sky, and `cloud` the new one."""
     height, width = photo.shape[:2]
-    radius = max(round(_EDGE_SHARE * small.shape[1]), 2)
-    bright = _brightness(small)
-    colors = photo.astype(np.float32) / np.float32(255)
-    guide = _brightness(colors)
-    fits = [guided_fit(np.ascontiguousarray(ratio[..., i]), bright, radius, _SPREAD, known) for i in range(3)]
-    sky_fit = color_guided_fit(sky, small, max(round(_SKY_SHARE * small.shape[1]), 2), _SKY_SPREAD)
-    share = sky_fit.at([np.ascontiguousarray(colors[..., i]) for i in range(3)])
-    share = np.clip((share - np.float32(0.1)) / np.float32(0.8), 0, 1)
+    colors = [np.ascontiguousarray(photo[..., i]).astype(np.float32) / np.float32(255) for i in range(3)]
+    level = np.asarray(cv2.cvtColor(photo, cv2.COLOR_RGB2GRAY), np.uint8)
+    # The grain of the photograph is no guide: ratios that follow it would remove it next to shadows.
+    smooth = cv2.medianBlur(level, 2 * max(round(_GRAIN_SHARE * width / 2), 1) + 1).astype(np.float32) / np.float32(255)
+    share, front = _sky_and_front(colors, level, small, sky, behind)
+    bright, radius = _brightness(small), max(round(_EDGE_SHARE * small.shape[1]), 2)
+    fits = [guided_fit(each, bright, radius, _SPREAD, known).at([smooth]) for each in _planes(ratio)]
+    gray = sum(np.float32(weight) * each for weight, each in zip(LUMINANCE, fits, strict=True))
     out = np.empty_like(photo)
-    for i in range(3):
-        own = np.ascontiguousarray(colors[..., i])
-        back, front = (cv2.resize(np.ascontiguousarray(e[..., i]), (width, height)) for e in (behind, cloud))
-        rest = np.minimum(own - share * back, 1 - share)
-        rest = np.where(rest < 0, np.minimum(rest + share * np.float32(_THIN), 0), rest)
-        lit = np.clip(fits[i].at([guide]), *_RATIOS) * rest + share * front
+    for i, (own, clouds) in enumerate(zip(colors, _planes(cloud), strict=True)):
+        clouds = cv2.resize(clouds, (width, height))
+        gain = np.clip(fits[i], np.maximum(_RATIOS[0], gray * _TINTS[0]), np.minimum(_RATIOS[1], gray * _TINTS[1]))
+        lit = np.minimum(gain * own, clouds)  # nothing outshines the clouds
+        lit += share * (front * clouds - lit)
         out[..., i] = np.rint(np.clip(own + np.float32(sun) * (lit - own), 0, 1) * 255)
     return SoftenedPhoto(out, share > 0.9)
+
+
+def _sky_and_front(
+    colors: Sequence[Plane], level: UInt8[np.ndarray, "h w"], small: Image, sky: Plane, behind: Image
+) -> tuple[Plane, Plane]:
+    """Share of sky in each pixel of a photograph, and share of its light that passes what is in front of it there."""
+    height, width = level.shape
+    fit = color_guided_fit(sky, small, max(round(_SKY_SHARE * small.shape[1]), 2), _SKY_SPREAD)
+    share = np.clip((fit.at(colors) - np.float32(0.1)) / np.float32(0.8), 0, 1)
+    bright = level.astype(np.float32) / np.float32(255)
+    of_sky = bright / np.maximum(cv2.resize(_brightness(behind), (width, height)), np.float32(0.05))
+    share = np.maximum(share, np.minimum(share / np.float32(_NEXT_TO), 1) * smoothstep(*_AS_BRIGHT, of_sky))
+    # What is darker than the sky stands in front of it; clouds are broader than wires and twigs.
+    side = 2 * max(round(_TWIG_SHARE * width / 2), 1) + 1
+    open_sky = cv2.morphologyEx(level, cv2.MORPH_CLOSE, np.ones((side, side), np.uint8)).astype(np.float32)
+    thin = bright * np.float32(255) / np.maximum(open_sky, 1)
+    return share, np.clip(np.minimum(thin / np.float32(_CLEAR[0]), of_sky / np.float32(_CLEAR[1])), 0, 1)
+
+
+def _planes(image: Image) -> list[Plane]:
+    return [np.ascontiguousarray(image[..., i]) for i in range(3)]
 
 
 def _brightness(image: Image) -> Plane:
