@@ -10,6 +10,7 @@ from gsrain_engine.backends import open_renderer
 from gsrain_engine.datasets.bags.containers import MCAP, SQLITE
 from gsrain_engine.datasets.capture import Capture
 from gsrain_engine.evaluation.lidar.sensor import SENSORS
+from gsrain_engine.rain.available import Source, check_available
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.recordings.folders import FileCopies
@@ -18,6 +19,7 @@ from gsrain_engine.recordings.pictures import PhotoRain, ScenePictures
 from gsrain_engine.recordings.rainy_recording import Recording, open_recording
 from gsrain_engine.render.export import export_sequences
 from gsrain_engine.render.export_settings import ExportSettings
+from gsrain_engine.render.photograph import light_words
 from gsrain_engine.render.view import rain_camera
 from gsrain_engine.scene.formats.registry import check_written_format, write_gaussians
 from gsrain_engine.scene.gaussians import Gaussians
@@ -27,10 +29,12 @@ from gsrain_engine.scene.transforms import flatten_scene, transform_gaussians, w
 
 from .console import counted, print, run_with_progress
 from .evaluate.lidar import read_sensor
-from .options import JsonFile, Wet, check_within, flag, option, parse_size, setting
+from .options import JsonFile, Wet, check_within, flag, option, options_of, parse_size, setting
 from .outputs import check_writable, lock_outputs, write_numbers, write_provenance
 from .render import RainOptions, rainy_light, viewpoint_of
 from .scene import Orientation, names_scene
+
+PhotoOptions = options_of(RainSettings, "export-rain", "")
 
 
 @Parameter(name="*")  # fields are options of the command, without a prefix
@@ -68,6 +72,7 @@ def export_rain(
         ),
     ],
     rain: RainOptions | None = None,
+    photos: PhotoOptions | None = None,
     time: Annotated[float, setting(ExportSettings, "first_s", "Scenes only.")] = 0.0,
     camera: Annotated[Path | None, option("Scene: camera file (JSON); default: the scene's own path or drive.")] = None,
     size: Annotated[str, setting(ExportSettings, "size_px", "The streaks are made for it.")] = "960x640",
@@ -91,7 +96,9 @@ def export_rain(
     in its own format whose images and lidar are in rain; names, times, calibration, labels and all else stay as they
     are.
     Images have streaks in front of the photograph, and haze by the distances that lidar or points tell (without any:
-    those of a level road); surfaces stay dry. With --scene they are rendered, wet, through a scene of the recording.
+    those of a level road); surfaces stay dry. Above 2.5 mm/h, sun and shadows of photographs with distances and a
+    certain sky are softened to an overcast day; --keep-light leaves them as taken. With --scene images are rendered,
+    wet, through a scene of the recording.
     COPY.provenance.json, beside the copy, says what each image holds.
     """
     if names_scene(source):
@@ -99,22 +106,40 @@ def export_rain(
         check_written_format(output)
         check_within("--time", time, 0, 1e6, "s")
         opened = (orientation or Orientation()).of(load_sorted_scene(source))
-        size_px = parse_size(size)
-        numbers = _export_gaussians(opened, rain or RainOptions(), output, time, camera, size_px, wet, with_scene)
+        size_px, options = parse_size(size), rain or RainOptions()
+        numbers = _export_gaussians(
+            opened, options, photos or PhotoOptions(), output, time, camera, size_px, wet, with_scene
+        )
     else:
         check_writable(
             json, *([output] if Path(source).is_file() else []), folders=[] if Path(source).is_file() else [output]
         )
         turns = lidar or RecordingLidar()
         numbers = _export_recording(
-            Path(source), rain or RainOptions(), output, scene, wet, turns, key_frames_only, FileCopies(hard_links)
+            Path(source),
+            rain or RainOptions(),
+            photos or PhotoOptions(),
+            output,
+            scene,
+            wet,
+            turns,
+            key_frames_only,
+            FileCopies(hard_links),
         )
     write_numbers(json, numbers)
+
+
+def _settings(rain: RainOptions, photos: PhotoOptions, scene: Scene, source: Source) -> RainSettings:
+    """Return the rain of all options; raises ValueError, which names it, for one without an effect on the source."""
+    settings = photos.settings(rain.for_scene(scene, source))
+    check_available(photos.changes(), settings, source)
+    return settings
 
 
 def _export_gaussians(
     scene: Scene,
     rain: RainOptions,
+    photos: PhotoOptions,
     output: Path,
     time_s: float,
     camera: Path | None,
@@ -122,7 +147,7 @@ def _export_gaussians(
     wet: bool | None,
     with_scene: bool,
 ) -> dict[str, Any]:
-    settings = rain.for_scene(scene, "Gaussians with scene" if with_scene else "Gaussians")
+    settings = _settings(rain, photos, scene, "Gaussians with scene" if with_scene else "Gaussians")
     if settings.visibility_m is not None:  # of a preset, or saved with the scene
         raise ValueError(f"fog, visibility {settings.visibility_m:g} m: needs distances; gsrain render draws it")
     if with_scene or wet is not None:
@@ -157,6 +182,7 @@ def _export_gaussians(
 def _export_recording(
     source: Path,
     rain: RainOptions,
+    photos: PhotoOptions,
     output: Path,
     scene: str | None,
     wet: bool | None,
@@ -168,7 +194,7 @@ def _export_recording(
     capture = recording.capture
     target = _copy_path(recording, source, output)
     world = Scene(capture.name) if scene is None else load_sorted_scene(scene)
-    settings = rain.for_scene(world, "photographs" if scene is None else "scene")
+    settings = _settings(rain, photos, world, "photographs" if scene is None else "scene")
     if scene is None and wet:
         raise ValueError("--wet: photographs have no surfaces for it; --scene names a scene of the recording")
     bent = next((view.sensor or view.name for view in capture if view.lens is not None), None)
@@ -192,10 +218,13 @@ def _export_recording(
     how = "of the scene"
     if isinstance(pictures, PhotoRain):
         numbers["images_with_distances"] = pictures.with_distances
+        numbers["light"] = dict(pictures.lights)
         how = f"{pictures.with_distances} of them with distances for the haze"
         if pictures.with_distances < pictures.written:
             how += ", the others as over a level road"
     print(f"{target}: {counted(pictures.written, 'rainy image')} ({how}), {settings.intensity_mm_h:g} mm/h")
+    if isinstance(pictures, PhotoRain) and pictures.lights:
+        print(f"light: {light_words(pictures.lights)}")
     if turns is not None:
         lost = turns.recorded - (turns.written - turns.false)
         numbers |= {"lidar_turns": turns.turns, "lidar_points": turns.recorded, "lidar_lost": lost}

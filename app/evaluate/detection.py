@@ -58,6 +58,7 @@ from gsrain_engine.rain.properties import extinction_note
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.simulation import OVERCAST
 from gsrain_engine.render.images import write_image
+from gsrain_engine.render.photograph import light_words
 from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.render.sequence import find_rig_cameras
 from gsrain_engine.render.sky_color import SkyColor, sky_color
@@ -220,6 +221,8 @@ def detection(
         print_drop_sizes(numbers.drop_sizes, Console(width=_COLUMNS))
     for sentence in filter(None, (numbers.settings["extinction"], *detector_notes(numbers))):
         print(sentence)
+    if numbers.settings["light"]:
+        print(f"light of the photographs: {light_words(numbers.settings['light'])}")
     if video is not None:
         print(f"{video}: {collector.frames} frames")
     if output is not None:
@@ -385,6 +388,7 @@ def detection_numbers(
             msgspec.structs.replace(source.pictures.rain, intensity_mm_h=each.intensity_mm_h) for each in scored
         ),
         "rain_before_pictures": source.pictures.photos is not None,
+        "light": source.pictures.lights(source.frames, max((row.intensity_mm_h for row in rows), default=0.0)),
         "pictures": {
             f"{intensity:g} mm/h": msgspec.to_builtins(source.pictures.provenance(source.frames[0], intensity))
             for intensity in sorted({row.intensity_mm_h for row in rows if row.picture == "rainy"})
@@ -708,11 +712,14 @@ def decomposed_source(
     """
     pictures, view = source.pictures, source.frames[0].shot
     rain, in_front = pictures.rain, pictures.photos is not None
-    parts = rain_attributions(rain, factors, name, pictures.scene, intensities, range(seeds), in_front=in_front)
+    parts = rain_attributions(
+        rain, factors, name, pictures.scene, intensities, range(seeds), in_front=in_front,
+        softens_light=pictures.photos is not None and pictures.photos.have_distances,
+    )  # fmt: skip
     rain = msgspec.structs.replace(parts[-1].factors.rain, intensity_mm_h=rain.intensity_mm_h)
     own = evaluation.RainVariant(rain, pictures.scene, pictures.sky)
     twin = None
-    if any("light" in part.factors.names for part in parts):
+    if not in_front and any("light" in part.factors.names for part in parts):
         scene = load_sorted_scene(overcast_twin(name))  # its hash is not an input: it has the source of the street
         twin = own._replace(scene=scene, sky=sky_color(pictures.renderer, scene, view.camera, view.time_s))
     variants = {name: each for part in parts for name, each in part.variants(own, twin).items()}

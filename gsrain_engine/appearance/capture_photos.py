@@ -16,7 +16,7 @@ from ..rain.simulation import RainSimulation
 from ..render.frame_input import CameraMemory, FrameInput, Mount
 from ..render.images import jpeg_file
 from ..render.passes.glass import ego_motion
-from ..render.photograph import Distances, Photograph
+from ..render.photograph import Distances, Photograph, PhotoLight
 from ..render.view import RenderView, ego_view
 from ..scene.camera import Camera
 from ..scene.geometry import linear_to_srgb, srgb_to_linear
@@ -64,9 +64,7 @@ class CapturePhotos:
 
         `photo` takes the place of the view's own image. Raises `CaptureError` if that can't be read.
         """
-        if self._last is None or self._last[0] is not view or photo is not None:
-            self._last = view, *self._read(view, view.image if photo is None else photo)
-        _, lights, distances = self._last
+        lights, distances = self._known(view, photo)
         shot = self.view(view)
         past = ego_motion(self.world, shot)
         mount = Mount(self._memory, (view.sensor, view.name), past.motion, past.camera_to_ego)
@@ -77,12 +75,27 @@ class CapturePhotos:
             self.world, rainfall, photo_sky(drawn, lights.sky(light)), shot, mount=mount, photograph=photograph
         )
 
+    @property
+    def have_distances(self) -> bool:
+        """True if distances of photographs are known, so that their light may be softened."""
+        return has_distances(self._capture)
+
+    def light(self, view: CaptureFrame, rainfall: RainSimulation) -> PhotoLight:
+        """Return what `frame` does to the light of a view's photograph."""
+        return self._known(view)[0].light_in(rainfall, self.view(view).time_s)
+
     def view(self, view: CaptureFrame) -> RenderView:
         """View of the world from a captured camera; a level one over a road without poses."""
         camera = replace(view.camera, lens=view.lens)
         if not self._capture.has_poses:
             return ego_view(self.world, replace(camera, world_to_camera=_LEVEL), view.time_s)
         return ego_view(self.world, camera.moved(self.world.scene_to_world), view.time_s)
+
+    def _known(self, view: CaptureFrame, photo: Colors | None = None) -> tuple[LightOfPhoto, Distances]:
+        """Light and distances of a view's photograph, or of another one; those of the last are reused."""
+        if self._last is None or self._last[0] is not view or photo is not None:
+            self._last = view, *self._read(view, view.image if photo is None else photo)
+        return self._last[1:]
 
     def _read(self, view: CaptureFrame, photo: Colors) -> tuple[LightOfPhoto, Distances]:
         """Light of a photograph, and distances by the capture's own, lidar or points, or those of a level road.

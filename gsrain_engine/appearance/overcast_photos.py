@@ -121,7 +121,8 @@ _EDGES = (0.010, 0.020)
 """Ramp of the share of level ground next to edges of cast shadows. Overcast streets have 0.006 and less (RainSense),
 sunlit ones 0.02 and more (DGP, nuScenes, KITTI)."""
 _OVER_SKY_EV = (-1.6, -1.1)
-"""Ramp of the brightness of sunlit ground over that of the sky. Under an even sky it is the albedo: 0.35 is gray stone."""
+"""Ramp of the brightness of sunlit ground over that of the sky. Under an even sky it is the albedo; gray stone's is
+0.35, which is -1.5."""
 _STEP_SHARE = 0.01  # distance of an edge's sides as a share of the image width
 _LEVEL, _NEAR_M, _FAR_M = 0.8, 1.5, 40.0  # ground on which shadows are looked for
 

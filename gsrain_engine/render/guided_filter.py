@@ -42,7 +42,7 @@ class GuidedFit:
     weight: Plane
 
     def at(self, channels: Sequence[Plane]) -> Plane:
-        """Return the values at a guide, of which there is a channel for each slope; it may be larger than that of the fit."""
+        """Return the values at a guide's channels, one for each slope, of the size of the fit's own or larger."""
         size = channels[0].shape[1], channels[0].shape[0]
 
         def resized(each: Plane) -> Plane:

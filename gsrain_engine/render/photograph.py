@@ -1,5 +1,6 @@
 """Photographs in rain: streaks before the picture, and a medium by the distances of what it shows."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any, NamedTuple
@@ -91,6 +92,16 @@ class PhotoLight(NamedTuple):
         return f"{self.kind} (sun {self.sun:.2f})" if self.is_softened else self.kind
 
 
+AS_TAKEN = PhotoLight()
+
+
+def light_words(counts: Mapping[str, int]) -> str:
+    """Return what was done to the light of photographs, by the number of them for each kind of a `PhotoLight`."""
+    if len(counts) == 1:
+        return next(iter(counts))
+    return ", ".join(f"{count} {kind}" for kind, count in sorted(counts.items(), key=lambda each: (-each[1], each[0])))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Photograph:
     """Photograph (sRGB) behind rain."""
@@ -98,7 +109,7 @@ class Photograph:
     pixels: UInt8[np.ndarray, "h w 3"]
     """In the light in which it is drawn."""
     distances: Distances
-    light: PhotoLight = PhotoLight()
+    light: PhotoLight = AS_TAKEN
 
     def in_rain(self, falling: RainFrame, share: Float32[np.ndarray, "h w 1"]) -> UInt8[np.ndarray, "h w 3"]:
         """Return the photograph B behind drops that cover a share W of each pixel: (1 - W) (T B + (1 - T) A) + W S.
