@@ -5,51 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from appearance.sunny_street import COLUMNS, HEIGHT, LINE, ROAD, ROWS, SHADOW, SKY, capture_of, street_photo
 from gsrain_engine.appearance.capture_photos import CapturePhotos
 from gsrain_engine.appearance.overcast_photos import SOFTENED_ABOVE_MM_H, whole_sky
-from gsrain_engine.datasets.capture import Capture, CaptureFrame
+from gsrain_engine.datasets.capture import Capture
 from gsrain_engine.rain.keyframes import RainKeyframe, RainKeyframes
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import RainSimulation
-from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.lens import Lens
 
-WIDTH, HEIGHT, HORIZON = 240, 160, 70
-LEVEL = np.array([[0.0, -1, 0, 0], [0, 0, -1, 1.5], [1, 0, 0, 0], [0, 0, 0, 1]])
-CAMERA = Camera(WIDTH, HEIGHT, 200.0, 200.0, WIDTH / 2, float(HORIZON), LEVEL)
-ROWS, COLUMNS = np.mgrid[:HEIGHT, :WIDTH]
-SKY = ROWS < HORIZON - 10
-WALL = ~SKY & (ROWS < HORIZON + 8)
-ROAD = ROWS >= HORIZON + 8
-SHADOW = ROAD & ((COLUMNS // 40) % 2 == 0) & (ROWS < HEIGHT - 12)
-LINE = ROAD & (np.abs(COLUMNS - 60) < 3)
-"""A road marking in the sun."""
-DEPTH = np.where(SKY, 0, np.where(WALL, 40.0, 1.5 * 200.0 / np.maximum(ROWS + 0.5 - HORIZON, 1))).astype(np.float32)
 RAIN = RainSettings(intensity_mm_h=8.0, streaks=False, haze="none")
-
-
-def street(*, sunny=True, seed=0):
-    """A gray road with shadows of trees under a blue sky, or the same road and a gray sky."""
-    photo = np.zeros((HEIGHT, WIDTH, 3))
-    photo[SKY] = (110, 160, 225) if sunny else (205, 208, 212)
-    photo[WALL] = (120, 110, 100)
-    photo[ROAD] = 175 if sunny else 110
-    if sunny:
-        photo[SHADOW] = (60, 62, 66)
-    photo[LINE] = np.where(SHADOW[LINE][:, None], 100, 240) if sunny else 190
-    photo[~SKY] += np.random.default_rng(seed).normal(0, 3, photo[~SKY].shape)
-    return np.clip(photo, 0, 255).astype(np.uint8)
-
-
-def capture_of(*photos, depth=DEPTH, sky=SKY, lens=None):
-    views = (
-        CaptureFrame(
-            f"view {i}", CAMERA, photo, time_s=float(i), lens=lens, depth_source=depth,
-            sky_source=sky if depth is not None else None,
-        )
-        for i, photo in enumerate(photos)
-    )  # fmt: skip
-    return Capture("street", tuple(views))
 
 
 def drawn(capture, index=0, rain=RAIN):
@@ -65,7 +30,7 @@ def levels(picture):
 
 @pytest.mark.parametrize("lens", [None, Lens("opencv", (-0.05, 0.01, 0.0, 0.0, 0.0))])
 def test_sun_and_shadows_of_a_sunny_photograph_become_those_of_clouds(lens):
-    photo = street()
+    photo = street_photo()
     frame = drawn(capture_of(photo, lens=lens))
     found = frame.photograph.pixels
     assert frame.photograph.light.words == "softened to overcast (sun 1.00)" and not frame.is_unchanged
@@ -81,7 +46,7 @@ def test_sun_and_shadows_of_a_sunny_photograph_become_those_of_clouds(lens):
 
 
 def test_grain_of_the_road_stays():
-    photo = street()
+    photo = street_photo()
     found = drawn(capture_of(photo)).photograph.pixels
     middle = ROAD & ~SHADOW & ~LINE & (COLUMNS % 40 > 10) & (COLUMNS % 40 < 30)
     share = found[middle].mean() / photo[middle].mean()
@@ -91,12 +56,12 @@ def test_grain_of_the_road_stays():
 @pytest.mark.parametrize(
     ("photo", "changes", "options", "kept"),
     [
-        ((street() * 0.08).astype(np.uint8), {}, {}, "by night"),
-        (street(sunny=False), {}, {}, "already overcast"),
-        (street(), {"intensity_mm_h": SOFTENED_ABOVE_MM_H}, {}, "at most 2.5 mm/h"),
-        (street(), {"keep_light": True}, {}, "--keep-light"),
-        (street(), {}, {"depth": None}, "no distances"),
-        (street(), {}, {"sky": np.zeros_like(SKY)}, "no certain sky"),
+        ((street_photo() * 0.08).astype(np.uint8), {}, {}, "by night"),
+        (street_photo(sunny=False), {}, {}, "already overcast"),
+        (street_photo(), {"intensity_mm_h": SOFTENED_ABOVE_MM_H}, {}, "at most 2.5 mm/h"),
+        (street_photo(), {"keep_light": True}, {}, "--keep-light"),
+        (street_photo(), {}, {"depth": None}, "no distances"),
+        (street_photo(), {}, {"sky": np.zeros_like(SKY)}, "no certain sky"),
     ],
 )
 def test_other_photographs_stay_the_same_bytes(photo, changes, options, kept):
@@ -107,7 +72,7 @@ def test_other_photographs_stay_the_same_bytes(photo, changes, options, kept):
 
 
 def test_each_photograph_is_lit_by_itself_alone():
-    photos = street(), (street() * 0.08).astype(np.uint8), street(sunny=False), street(seed=1)
+    photos = street_photo(), (street_photo() * 0.08).astype(np.uint8), street_photo(sunny=False), street_photo(seed=1)
     together = capture_of(*photos)
     among = CapturePhotos(together)
     for view, photo in zip(together, photos, strict=True):
@@ -120,7 +85,7 @@ def test_each_photograph_is_lit_by_itself_alone():
 def test_light_follows_a_rain_that_changes():
     keys = RainKeyframe(time_s=0.0, intensity_mm_h=1.0), RainKeyframe(time_s=2.0, intensity_mm_h=20.0)
     rainfall = RainSimulation.start(RAIN, weather=RainKeyframes(keys=keys))
-    capture = capture_of(street(), street(), street())
+    capture = capture_of(street_photo(), street_photo(), street_photo())
     photos = CapturePhotos(capture)
     kinds = [photos.light(view, rainfall).kind for view in capture]
     assert kinds[0] == "kept (at most 2.5 mm/h)" and kinds[2] == "softened to overcast"
