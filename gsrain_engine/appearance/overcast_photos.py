@@ -117,13 +117,14 @@ _CAST_EV, _SAME_COLOR_EV = 1.6, 0.6
 Edges of materials of one color are weaker: concrete is up to three times as bright as asphalt."""
 _LIT_EV, _DEEP_EV = -3.5, -7.5
 """Least brightness of the sunlit side of such an edge, and of its shadow: darker are things, not their shadows."""
-_EDGES = (0.010, 0.020)
-"""Ramp of the share of level ground next to edges of cast shadows. Overcast streets have 0.006 and less (RainSense),
-sunlit ones 0.02 and more (DGP, nuScenes, KITTI)."""
+_EDGES = (0.012, 0.020)
+"""Ramp of the share of level ground next to edges of cast shadows. Overcast streets have 0.004 (RainSense), sunlit ones
+0.02 and more (DGP, nuScenes, KITTI)."""
 _OVER_SKY_EV = (-1.6, -1.1)
 """Ramp of the brightness of sunlit ground over that of the sky. Under an even sky it is the albedo; gray stone's is
 0.35, which is -1.5."""
-_STEP_SHARE = 0.01  # distance of an edge's sides as a share of the image width
+_STEP_SHARE, _SPECK_SHARE = 0.0125, 0.01
+"""Distance of an edge's sides, and size of specks that have none, as shares of the image width."""
 _LEVEL, _NEAR_M, _FAR_M = 0.8, 1.5, 40.0  # ground on which shadows are looked for
 
 
@@ -146,7 +147,8 @@ def sun_of(view: ClearView, light: IlluminationEstimate) -> float:
 
 def _shadow_edges(view: ClearView) -> float:
     """Share of level ground next to an edge of a cast shadow, of all pairs of its pixels in a row or column."""
-    smooth = cv2.medianBlur(np.rint(view.image * 255).astype(np.uint8), 5)
+    size = 2 * max(round(_SPECK_SHARE * view.camera.width / 2), 1) + 1
+    smooth = cv2.medianBlur(np.rint(view.image * 255).astype(np.uint8), size)
     colors_ev = np.log2(np.maximum(srgb_to_linear(smooth / np.float32(255)), 2**DARKEST_EV)).astype(np.float32)
     level_ev, over_green = colors_ev.mean(axis=-1), colors_ev[..., [0, 2]] - colors_ev[..., 1:2]
     upward = cv2.blur(np.ascontiguousarray(view.normals[..., 2]), (7, 7)) > _LEVEL

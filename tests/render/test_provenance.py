@@ -96,4 +96,4 @@ def test_a_photograph_under_clouds_is_drawn_again_and_says_what_was_done_to_its_
     photographs = CapturePhotos(capture).frame(capture[0], RainSimulation.start(settings)).photograph
     again = draw(CpuRenderer(), frame_of(found, frame.scene, photographs)).read_uint8()
     assert again.tobytes() == draw(CpuRenderer(), frame).read_uint8().tobytes()
-    assert provenance_of(frame_of(found, frame.scene, photographs)) == found
+    assert provenance_of(frame_of(found, frame.scene, photographs)).photo_light == found.photo_light
