@@ -34,7 +34,17 @@ from .outputs import check_writable, lock_outputs, write_numbers, write_provenan
 from .render import RainOptions, rainy_light, viewpoint_of
 from .scene import Orientation, names_scene
 
-PhotoOptions = options_of(RainSettings, "export-rain", "")
+
+@Parameter(name="*")  # fields are options of the command, without a prefix
+@dataclass(frozen=True, kw_only=True)
+class PhotoOptions(options_of(RainSettings, "export-rain", "")):
+    """Options about the photographs of a recording."""
+
+    def added_to(self, rain: RainOptions, scene: Scene, source: Source) -> RainSettings:
+        """Return the rain with these options; raises ValueError for one without an effect on the source."""
+        settings = self.settings(rain.for_scene(scene, source))
+        check_available(self.changes(), settings, source)
+        return settings
 
 
 @Parameter(name="*")  # fields are options of the command, without a prefix
@@ -129,13 +139,6 @@ def export_rain(
     write_numbers(json, numbers)
 
 
-def _settings(rain: RainOptions, photos: PhotoOptions, scene: Scene, source: Source) -> RainSettings:
-    """Return the rain of all options; raises ValueError, which names it, for one without an effect on the source."""
-    settings = photos.settings(rain.for_scene(scene, source))
-    check_available(photos.changes(), settings, source)
-    return settings
-
-
 def _export_gaussians(
     scene: Scene,
     rain: RainOptions,
@@ -147,7 +150,7 @@ def _export_gaussians(
     wet: bool | None,
     with_scene: bool,
 ) -> dict[str, Any]:
-    settings = _settings(rain, photos, scene, "Gaussians with scene" if with_scene else "Gaussians")
+    settings = photos.added_to(rain, scene, "Gaussians with scene" if with_scene else "Gaussians")
     if settings.visibility_m is not None:  # of a preset, or saved with the scene
         raise ValueError(f"fog, visibility {settings.visibility_m:g} m: needs distances; gsrain render draws it")
     if with_scene or wet is not None:
@@ -194,7 +197,7 @@ def _export_recording(
     capture = recording.capture
     target = _copy_path(recording, source, output)
     world = Scene(capture.name) if scene is None else load_sorted_scene(scene)
-    settings = _settings(rain, photos, world, "photographs" if scene is None else "scene")
+    settings = photos.added_to(rain, world, "photographs" if scene is None else "scene")
     if scene is None and wet:
         raise ValueError("--wet: photographs have no surfaces for it; --scene names a scene of the recording")
     bent = next((view.sensor or view.name for view in capture if view.lens is not None), None)

@@ -114,7 +114,10 @@ class RainFactors:
         if ALL in chosen:
             chosen |= {each.name for each in factors().values() if each.name == LIGHT or _is_on(each, rain)}
             chosen |= {FRICTION} if friction == "wet" else set()
+        on_photographs = WET in lacking and LIGHT not in lacking
         for each in factors().values():
+            if each.name == LIGHT and not on_photographs:
+                continue
             if each.name not in chosen and _is_on(each, rain):
                 rain = structs.replace(rain, **each.off)
             elif each.name in names and not _is_on(each, rain):
@@ -127,7 +130,7 @@ class RainFactors:
         absent = set(lacking) if friction is not None else {*lacking, FRICTION}
         if friction is not None:
             friction = "wet" if FRICTION in chosen else "dry"
-        is_wet, on_photographs = WET in chosen and WET not in absent, WET in lacking and LIGHT not in lacking
+        is_wet = WET in chosen and WET not in absent
         if on_photographs:
             absent |= on_wet_ground() - {LIGHT}
             if rain.keep_light or rain.intensity_mm_h <= SOFTENED_ABOVE_MM_H:
