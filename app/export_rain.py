@@ -11,6 +11,7 @@ from gsrain_engine.datasets.open_source import names_scene
 from gsrain_engine.evaluation.lidar.sensor import SENSORS
 from gsrain_engine.evaluation.lidar.session import open_sensor
 from gsrain_engine.publish.rain_gaussians import export_rain_gaussians
+from gsrain_engine.rain.available import Source, check_available
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.recordings.folders import FileCopies
 from gsrain_engine.recordings.rainy_recording import open_recording
@@ -22,10 +23,22 @@ from gsrain_engine.scene.open import load_sorted_scene
 from gsrain_engine.scene.scene import Scene
 
 from .console import print, run_with_progress
-from .options import JsonFile, Wet, check_within, flag, named_options, option, parse_size, setting
+from .options import JsonFile, Wet, check_within, flag, named_options, option, options_of, parse_size, setting
 from .outputs import check_writable, lock_outputs, write_numbers
 from .render import RainOptions, rainy_light, viewpoint_of
 from .scene import Orientation
+
+
+@Parameter(name="*")  # fields are options of the command, without a prefix
+@dataclass(frozen=True, kw_only=True)
+class PhotoOptions(options_of(RainSettings, "export-rain", "")):
+    """Options about the photographs of a recording."""
+
+    def added_to(self, rain: RainOptions, scene: Scene, source: Source) -> RainSettings:
+        """Return the rain with these options; raises ValueError for one without an effect on the source."""
+        settings = self.settings(rain.for_scene(scene, source))
+        check_available(self.changes(), settings, source)
+        return settings
 
 
 @Parameter(name="*")  # fields are options of the command, without a prefix
@@ -56,6 +69,7 @@ def export_rain(
         ),
     ],
     rain: RainOptions | None = None,
+    photos: PhotoOptions | None = None,
     time: Annotated[float, setting(ExportSettings, "first_s", "Scenes only.")] = 0.0,
     camera: Annotated[Path | None, option("Scene: camera file (JSON); default: the scene's own path or drive.")] = None,
     size: Annotated[str, setting(ExportSettings, "size_px", "The streaks are made for it.")] = "960x640",
@@ -79,7 +93,9 @@ def export_rain(
     in its own format whose images and lidar are in rain; names, times, calibration, labels and all else stay as they
     are.
     Images have streaks in front of the photograph, and haze by the distances that lidar or points tell (without any:
-    those of a level road); surfaces stay dry. With --scene they are rendered, wet, through a scene of the recording.
+    those of a level road); surfaces stay dry. Above 2.5 mm/h, sun and shadows of photographs with distances and a
+    certain sky are softened to an overcast day; --keep-light leaves them as taken. With --scene images are rendered,
+    wet, through a scene of the recording.
     COPY.provenance.json, beside the copy, says what each image holds.
     """
     if names_scene(source):
@@ -87,7 +103,8 @@ def export_rain(
         check_written_format(output)
         check_within("--time", time, 0, 1e6, "s")
         opened = (orientation or Orientation()).of(load_sorted_scene(source))
-        settings = (rain or RainOptions()).for_scene(opened, "Gaussians with scene" if with_scene else "Gaussians")
+        kind: Source = "Gaussians with scene" if with_scene else "Gaussians"
+        settings = (photos or PhotoOptions()).added_to(rain or RainOptions(), opened, kind)
         if with_scene or wet is not None:
             opened, settings = rainy_light(opened, settings, wet, settings.intensity_mm_h)
         still = ExportSettings(output="rain.png", first_s=time, size_px=parse_size(size))
@@ -97,7 +114,14 @@ def export_rain(
     else:
         is_file = Path(source).is_file()
         check_writable(json, *([output] if is_file else []), folders=[] if is_file else [output])
-        copying = scene, wet, lidar or RecordingLidar(), key_frames_only, FileCopies(hard_links)
+        copying = (
+            photos or PhotoOptions(),
+            scene,
+            wet,
+            lidar or RecordingLidar(),
+            key_frames_only,
+            FileCopies(hard_links),
+        )
         done = _copy(Path(source), rain or RainOptions(), output, *copying)
     for line in done.lines:
         print(line)
@@ -106,17 +130,19 @@ def export_rain(
 
 def _copy(
     source: Path,
-    rain: RainOptions,
     output: Path,
     scene: str | None,
     wet: bool | None,
+    rain: RainOptions,
+    photos: PhotoOptions,
     lidar: RecordingLidar,
     key_frames_only: bool,
     files: FileCopies,
 ) -> JobResult[Path]:
     recording = open_recording(source, key_frames_only=key_frames_only)
     world = None if scene is None else load_sorted_scene(scene)
-    settings = rain.for_scene(world or Scene(recording.capture.name), "photographs" if world is None else "scene")
+    place = world or Scene(recording.capture.name)
+    settings = photos.added_to(rain, place, "photographs" if world is None else "scene")
     if world is None and wet:
         raise ValueError("--wet: photographs have no surfaces for it; --scene names a scene of the recording")
     if world is not None:

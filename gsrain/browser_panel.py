@@ -17,7 +17,7 @@ from gsrain_engine.scene.camera import DEFAULT_EXPOSURE_S
 from gsrain_engine.scene.lamp_choice import LAMP_WORDS
 from gsrain_engine.scene.sensor import sensor_names
 
-_ELSEWHERE = ("calibration", "max_copies", "haze_count")
+_ELSEWHERE = ("calibration", "max_copies", "haze_count", "keep_light")
 """Settings without a group that the desktop's Rain panel leaves to files, too."""
 _NO_PRESET = "–"  # noqa: RUF001  shown while the rain is none of the presets
 _STEPS = 300.0  # of a slider, at least

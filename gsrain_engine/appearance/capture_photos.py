@@ -1,9 +1,10 @@
 """Photographs of a capture as pictures in rain, each in its own light and with the distances of what it shows."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Bool, Float32, UInt8
 
 from ..datasets.capture import Capture, CaptureFrame
 from ..datasets.depth_maps import completed_depths, measured_depths
@@ -15,13 +16,18 @@ from ..rain.simulation import RainSimulation
 from ..render.frame_input import CameraMemory, FrameInput, Mount
 from ..render.images import jpeg_file
 from ..render.passes.glass import ego_motion
-from ..render.photograph import Distances, Photograph
+from ..render.photograph import Distances, Photograph, PhotoLight
 from ..render.view import RenderView, ego_view
 from ..scene.camera import Camera
 from ..scene.geometry import linear_to_srgb, srgb_to_linear
 from ..scene.scene import Scene
+from .base import ClearView
+from .capture_views import near_measured, vehicle_pixels
+from .normals import normals_from_depth
+from .overcast_photos import LightOfPhoto, whole_sky
 
 Colors = UInt8[np.ndarray, "h w 3"]
+Depth = Float32[np.ndarray, "h w"]
 
 CAMERA_HEIGHT_M = 1.5
 """Assumed height of a camera over the road, where nothing is known of either."""
@@ -51,21 +57,32 @@ class CapturePhotos:
         self.world = Scene(capture.name, up=capture.up, ego=capture.ego)
         """World of the rain (meters, z up), without Gaussians."""
         self._memory = CameraMemory()
-        self._last: tuple[CaptureFrame, Colors, SkyLight, Distances] | None = None
+        self._last: tuple[CaptureFrame, LightOfPhoto, Distances] | None = None
 
     def frame(self, view: CaptureFrame, rainfall: RainSimulation, photo: Colors | None = None) -> FrameInput:
-        """Return the photograph of a view in a rain, in its own lens; surfaces stay as they are.
+        """Return the photograph of a view in a rain, in its own lens and, if it is sunny, under clouds; surfaces stay.
 
         `photo` takes the place of the view's own image. Raises `CaptureError` if that can't be read.
         """
-        if self._last is None or self._last[0] is not view or photo is not None:
-            photo = view.image if photo is None else photo
-            self._last = view, photo, photo_sky(photo), self._distances(view, photo)
-        _, photo, light, distances = self._last
+        lights, distances = self._known(view, photo)
         shot = self.view(view)
         past = ego_motion(self.world, shot)
         mount = Mount(self._memory, (view.sensor, view.name), past.motion, past.camera_to_ego)
-        return FrameInput.of(self.world, rainfall, light, shot, mount=mount, photograph=Photograph(photo, distances))
+        light = lights.light_in(rainfall, shot.time_s)
+        drawn = lights.drawn(light)
+        photograph = Photograph(drawn, distances, light)
+        return FrameInput.of(
+            self.world, rainfall, photo_sky(drawn, lights.sky(light)), shot, mount=mount, photograph=photograph
+        )
+
+    @property
+    def have_distances(self) -> bool:
+        """True if distances of photographs are known, so that their light may be softened."""
+        return has_distances(self._capture)
+
+    def light(self, view: CaptureFrame, rainfall: RainSimulation) -> PhotoLight:
+        """Return what `frame` does to the light of a view's photograph."""
+        return self._known(view)[0].light_in(rainfall, self.view(view).time_s)
 
     def view(self, view: CaptureFrame) -> RenderView:
         """View of the world from a captured camera; a level one over a road without poses."""
@@ -74,8 +91,17 @@ class CapturePhotos:
             return ego_view(self.world, replace(camera, world_to_camera=_LEVEL), view.time_s)
         return ego_view(self.world, camera.moved(self.world.scene_to_world), view.time_s)
 
-    def _distances(self, view: CaptureFrame, photo: Colors) -> Distances:
-        """Distances by the capture's own, lidar or points, completed over the image; else those of a level road."""
+    def _known(self, view: CaptureFrame, photo: Colors | None = None) -> tuple[LightOfPhoto, Distances]:
+        """Light and distances of a view's photograph, or of another one; those of the last are reused."""
+        if self._last is None or self._last[0] is not view or photo is not None:
+            self._last = view, *self._read(view, view.image if photo is None else photo)
+        return self._last[1:]
+
+    def _read(self, view: CaptureFrame, photo: Colors) -> tuple[LightOfPhoto, Distances]:
+        """Light of a photograph, and distances by the capture's own, lidar or points, or those of a level road.
+
+        The capture's are completed over the image.
+        """
         capture = self._capture
         small = undistort_frame(replace(view, image_source=photo), min(view.camera.width, _DEPTH_WIDTH))
         if has_distances(capture):
@@ -84,9 +110,25 @@ class CapturePhotos:
             if np.count_nonzero(measured[0]) >= _MIN_MEASURED * measured[0].size:
                 skies = sky_masks([small], measured, capture.up)
                 completed = completed_depths(capture, [small], measured, skies)[0]
-                return Distances(small.camera, completed, measured[0] > 0)
-        pose = self.view(view).camera.world_to_camera
-        return level_road(replace(small.camera, world_to_camera=pose), small.image)
+                camera = self.view(view).camera
+                surfaces = partial(self._surfaces, small, measured[0], completed)
+                return LightOfPhoto(photo, camera, surfaces), Distances(small.camera, completed, measured[0] > 0)
+        camera = self.view(view).camera
+        road = level_road(replace(small.camera, world_to_camera=camera.world_to_camera), small.image)
+        return LightOfPhoto(photo, camera), road
+
+    def _surfaces(self, small: CaptureFrame, measured: Depth, depth: Depth) -> ClearView:
+        """Surfaces and certain sky of a photograph without distortion."""
+        sky = small.sky
+        if sky is None:
+            sky = whole_sky(certain_sky(small.image).pixels, small.image, near_measured(measured))
+        depth = np.where(sky, np.float32(0), depth)
+        camera = small.camera.moved(self.world.scene_to_world)
+        vehicles = vehicle_pixels(small, self._capture.boxes, depth).astype(np.float32)
+        return ClearView(
+            small.name, camera, small.time_s, small.image.astype(np.float32) / np.float32(255), depth,
+            normals_from_depth(depth, camera), sky.astype(np.float32), vehicles, small.sensor,
+        )  # fmt: skip
 
 
 def as_copied(view: CaptureFrame, picture: Colors) -> Colors:
@@ -113,13 +155,13 @@ def level_road(camera: Camera, photo: Colors) -> Distances:
     return Distances(camera, depth_m.astype(np.float32))
 
 
-def photo_sky(photo: Colors) -> SkyLight:
+def photo_sky(photo: Colors, sky: Bool[np.ndarray, "h w"] | None = None) -> SkyLight:
     """Mean color of the sky in a photograph, which drops and medium take on.
 
-    Without certain sky it is that of the brightest tenth of the upper half.
+    `sky` has the pixels of the sky if they are known; without certain sky it is that of the brightest tenth of the
+    upper half.
     """
-    sky = certain_sky(photo).pixels
-    found = photo[sky]
+    found = photo[certain_sky(photo).pixels if sky is None else sky]
     if not len(found):
         upper = photo[: max(len(photo) // 2, 1)].reshape(-1, 3)
         light = upper.astype(np.float64).mean(axis=1)

@@ -114,7 +114,7 @@ class CaptureSurfaces:
             return own.astype(np.float32)
         sure = certain_sky(view.image).pixels
         if self._capture.sweeps:
-            sure = sure & ~_near(self._measured(view), _AT_BEAM)
+            sure = sure & ~near_measured(self._measured(view))
         return _feathered(sure, view.image)
 
     def known_share(self, view: CaptureFrame, sky: Flags) -> float:
@@ -159,6 +159,11 @@ class CaptureSurfaces:
         if self._capture.sweeps or points is None or not len(points):
             return None
         return depth_maps.camera_height_above_road(points, self._capture.views, self._capture.up)
+
+
+def near_measured(depth: Plane) -> Flags:
+    """Pixels so near to a measured one that they are no sky; `depth` is 0 without a measurement."""
+    return _near(depth, _AT_BEAM)
 
 
 def _near(depth: Plane, share: float) -> Flags:

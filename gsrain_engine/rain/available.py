@@ -10,6 +10,7 @@ Source = Literal["scene", "photographs", "Gaussians", "Gaussians with scene", "p
 """Sources of pictures: a scene; photographs; files of its Gaussians, which are no pictures; a web page."""
 
 _SURFACES = "photographs have no surfaces for it; gsrain reconstruct makes a scene of them, for --scene"
+_PHOTOGRAPHS = "only photographs have a light of their own to keep; --wetness sets that of a scene"
 _FILE = "a file of Gaussians holds streaks and haze only; gsrain render draws it"
 _PAGE = "a page has none; gsrain render draws it"
 _GLASS_DETAILS = "wiper", "glass_wet_s", "glass_dirt", "contact_angle_deg", "glass_distance_m"
@@ -17,19 +18,20 @@ _GLASS_DETAILS = "wiper", "glass_wet_s", "glass_dirt", "contact_angle_deg", "gla
 _PICTURES = "lamps", "lamp_gain", "mirror", "splashes", "spray", "glass", "sensor", "visibility_m", *_GLASS_DETAILS
 
 UNAVAILABLE: dict[Source, dict[str, str]] = {
-    "scene": {},
+    "scene": {"keep_light": _PHOTOGRAPHS},
     "photographs": dict.fromkeys(
         ("roofs", "lamps", "lamp_gain", "wetness", "mirror", "splashes", "spray"), _SURFACES
     ) | {"sensor": "a photograph has been through its camera's sensor; --exposure sets the shutter of the drops"},
-    "Gaussians": dict.fromkeys((*_PICTURES, "wetness"), _FILE),
-    "Gaussians with scene": dict.fromkeys(_PICTURES, _FILE),
-    "page": dict.fromkeys(("lamps", "lamp_gain", "spray", "glass", "sensor", *_GLASS_DETAILS), _PAGE),
+    "Gaussians": dict.fromkeys((*_PICTURES, "wetness", "keep_light"), _FILE),
+    "Gaussians with scene": dict.fromkeys(_PICTURES, _FILE) | {"keep_light": _PHOTOGRAPHS},
+    "page": dict.fromkeys(("lamps", "lamp_gain", "spray", "glass", "sensor", *_GLASS_DETAILS), _PAGE)
+    | {"keep_light": _PHOTOGRAPHS},
 }  # fmt: skip
 """Reasons by field of the rain."""
 
 _OFF: dict[str, Any] = {
     "roofs": False, "lamps": "none", "wetness": 0.0, "mirror": False, "splashes": False, "spray": False,
-    "glass": "none",
+    "glass": "none", "keep_light": False,
 }  # fmt: skip
 """Values with which a setting asks for nothing."""
 

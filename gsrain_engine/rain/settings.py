@@ -232,6 +232,10 @@ class RainSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     spray: Annotated[bool, Meta(
         title="Spray", extra={"commands": "render, drive, evaluate detection, evaluate lidar"},
         description="Fast vehicles throw water from a wet road into a wake, in scenes with wet colors.")] = True
+    keep_light: Annotated[bool, Meta(
+        title="Keep the light", extra={"commands": "export-rain, evaluate detection"},
+        description="Keep sun and shadows of the photographs, which rain above 2.5 mm/h softens to an overcast day "
+        "where distances and sky are known.")] = False
     drying_s: Annotated[float, Meta(
         ge=0, le=7200, title="Drying", extra={"unit": "s", "group": "Appearance", "slider_to": 600.0},
         description="Time in which what is wet dries to 1/e when the rain gets weaker; 0 dries at once.")] = 0.0

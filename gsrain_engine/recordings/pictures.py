@@ -1,5 +1,6 @@
 """Recorded pictures in rain: photographs behind streaks and a medium, or pictures of a scene made of the recording."""
 
+from collections import Counter
 from dataclasses import replace
 from typing import Protocol, runtime_checkable
 
@@ -40,12 +41,14 @@ class RainyPictures(Protocol):
 
 
 class PhotoRain:
-    """Rain over photographs. Surfaces stay dry, and drops fall in front of everything."""
+    """Rain over photographs, under its clouds. Surfaces stay dry, and drops fall in front of everything."""
 
     def __init__(self, renderer: Renderer, capture: Capture, rain: RainSettings) -> None:
         self._renderer, self._photos, self._rainfall = renderer, CapturePhotos(capture), RainSimulation.start(rain)
         self.written = self.with_distances = 0
         """Numbers of pictures so far, and of those whose distances are measured."""
+        self.lights = Counter[str]()
+        """Number of pictures by what was done to their light."""
         self.provenance: dict[str, PictureProvenance] = {}
 
     def rainy(self, view: CaptureFrame, photo: Colors) -> Colors:
@@ -53,6 +56,7 @@ class PhotoRain:
         frame = self._photos.frame(view, self._rainfall, photo)
         assert frame.photograph is not None
         self.with_distances += not frame.photograph.distances.are_assumed
+        self.lights[frame.photograph.light.kind] += 1
         self.provenance[view.name] = provenance_of(frame)
         return photo if frame.is_unchanged else draw(self._renderer, frame).read_uint8()
 

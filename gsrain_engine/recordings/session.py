@@ -12,6 +12,7 @@ from ..datasets.capture import CaptureFrame
 from ..evaluation.lidar.sensor import SENSORS, LidarSensor
 from ..rain.settings import RainSettings
 from ..rain.simulation import RainSimulation
+from ..render.photograph import light_words
 from ..render.renderer import Renderer
 from ..report.numbers import write_provenance
 from ..report.result import JobResult
@@ -72,6 +73,10 @@ def export_recording(
     lines = [*capture.problems, *(f"left as it was: {each}" for each in recording.untouched)]
     lines += [f"left out: {each}" for each in files.left_out]
     lines.append(f"{target}: {_counted(pictures.written, 'rainy image')} ({how}), {rain.intensity_mm_h:g} mm/h")
+    light: dict[str, Any] = {}
+    if photos is not None and photos.lights:
+        light = {"light": dict(photos.lights)}
+        lines.append(f"light: {light_words(photos.lights)}")
     if lidar is not None:
         lost = lidar.recorded - (lidar.written - lidar.false)
         numbers |= {"lidar_turns": lidar.turns, "lidar_points": lidar.recorded}
@@ -83,7 +88,7 @@ def export_recording(
     numbers |= {f"files_{what.replace(' ', '_')}": count for what, count in counts.items()}
     rows = [(name.replace("_", " "), value) for name, value in numbers.items()]
     table = Table(f"Rainy copy of {capture.name}", columns({"number of": "", "value": ",g"}), rows)
-    numbers |= {"cameras": list(capture.sensors)}
+    numbers |= {**light, "cameras": list(capture.sensors)}
     return JobResult(made=target, table=table, numbers=numbers, lines=tuple(lines), draw=pictures.draw)
 
 

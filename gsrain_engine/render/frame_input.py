@@ -215,9 +215,11 @@ class FrameInput:
 
     @property
     def is_unchanged(self) -> bool:
-        """True for a photograph with nothing in front of it."""
+        """True for a photograph in its own light with nothing in front of it."""
+        if self.photograph is None or self.photograph.light.is_softened:
+            return False
         glass = "none" if self.simulation is None else self.simulation.rain.glass
-        return self.is_photograph and self.falling is None and glass == "none"
+        return self.falling is None and glass == "none"
 
     @property
     def is_photograph(self) -> bool:

@@ -1,8 +1,11 @@
 """Guided filters (He, Sun and Tang 2013): smoothing that follows the edges of a guide, by a brightness or by colors.
 
 They need box filters only, which each build of OpenCV has: other packages install the one without `ximgproc`.
+Fits of a small guide also follow the edges of the same picture in a larger size (He and Sun 2015, Fast guided filter).
 """
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import lazy_loader
@@ -29,9 +32,53 @@ def guided_filter(values: Plane, guide: Plane, radius: int, variance: float) -> 
     return (cv2.blur(slope, size) * guide + cv2.blur(offset, size)).astype(np.float32)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class GuidedFit:
+    """Values as a linear function of the guide's channels around each pixel, weighted by `weight`."""
+
+    slopes: tuple[Plane, ...]
+    """One a channel."""
+    offset: Plane
+    weight: Plane
+
+    def at(self, channels: Sequence[Plane]) -> Plane:
+        """Return the values at a guide's channels, one for each slope, of the size of the fit's own or larger."""
+        size = channels[0].shape[1], channels[0].shape[0]
+
+        def resized(each: Plane) -> Plane:
+            return each if each.shape == channels[0].shape else cv2.resize(each, size, interpolation=cv2.INTER_LINEAR)
+
+        fitted = sum(resized(slope) * each for slope, each in zip(self.slopes, channels, strict=True))
+        return ((fitted + resized(self.offset)) / np.maximum(resized(self.weight), 1e-6)).astype(np.float32)
+
+
+def guided_fit(
+    values: Plane, guide: Plane, radius_px: int, spread: float, known: Bool[np.ndarray, "h w"] | None = None
+) -> GuidedFit:
+    """Fit values by a linear function of a brightness; the arguments are those of `color_guided_fit`."""
+    side = (2 * radius_px + 1, 2 * radius_px + 1)
+    weight = np.ones_like(values) if known is None else known.astype(np.float32)
+    total = np.maximum(cv2.blur(weight, side), np.float32(1e-6))
+    mean, mean_guide = cv2.blur(values * weight, side) / total, cv2.blur(guide * weight, side) / total
+    together = cv2.blur(values * guide * weight, side) / total - mean * mean_guide
+    alone = cv2.blur(guide * guide * weight, side) / total - mean_guide**2
+    slope = together / (np.maximum(alone, 0) + np.float32(spread**2))
+    counts = (total > 1e-6).astype(np.float32)
+    offset = mean - slope * mean_guide
+    return GuidedFit((cv2.blur(slope * counts, side),), cv2.blur(offset * counts, side), cv2.blur(counts, side))
+
+
 def color_guided_filter(
     values: Plane, guide: Image, radius_px: int, spread: float, known: Bool[np.ndarray, "h w"] | None = None
 ) -> Plane:
+    """Return the values of a `color_guided_fit` at its own guide."""
+    fit = color_guided_fit(values, guide, radius_px, spread, known)
+    return fit.at([np.ascontiguousarray(guide[..., i]) for i in range(3)])
+
+
+def color_guided_fit(
+    values: Plane, guide: Image, radius_px: int, spread: float, known: Bool[np.ndarray, "h w"] | None = None
+) -> GuidedFit:
     """Fit values by a linear function of the guide's color in each window, and take the mean of the fits.
 
     `spread` is the standard deviation of color (0..1) below which nothing counts as an edge. Where only some values
@@ -66,5 +113,4 @@ def color_guided_filter(
     )
     offset = value - sum(slope * color for slope, color in zip(slopes, colors, strict=True))
     counts = (total > 1e-6).astype(np.float32)  # only windows with a known value count
-    fitted = sum(mean(slope * counts) * each for slope, each in zip(slopes, channels, strict=True))
-    return ((fitted + mean(offset * counts)) / np.maximum(mean(counts), 1e-6)).astype(np.float32)
+    return GuidedFit(tuple(mean(slope * counts) for slope in slopes), mean(offset * counts), mean(counts))

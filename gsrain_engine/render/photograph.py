@@ -1,8 +1,9 @@
 """Photographs in rain: streaks before the picture, and a medium by the distances of what it shows."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 import lazy_loader
 import msgspec
@@ -52,12 +53,12 @@ class Distances:
         points = np.dstack([_tangents(own), np.ones_like(depth)]) * depth[..., None]
         near = medium.transmittance(np.maximum(points.reshape(-1, 3), -1e9)).reshape(depth.shape)
         found = np.ascontiguousarray(np.where(depth > 0, near, medium.sky_transmittance(own.rays)), np.float32)
-        maps = _maps(camera, own)
+        maps = maps_between(camera, own)
         whole = cv2.remap(found, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         guide = photo.astype(np.float32) / 255
         smooth = color_guided_filter(whole, guide, max(round(_GUIDED_SHARE * photo.shape[1]), 1), _GUIDED_SPREAD)
         # The filter lets the far into the near: what is measured to be nearer keeps more.
-        back = _maps(own, camera)
+        back = maps_between(own, camera)
         small = cv2.remap(smooth, *back, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         colors = cv2.remap(
             cv2.blur(guide, _block(camera, own)), *back, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
@@ -68,12 +69,47 @@ class Distances:
         return np.clip(smooth, found.min(), found.max())
 
 
+class PhotoLight(NamedTuple):
+    """Light of a photograph as it is drawn: its own, or softened to that of an overcast day."""
+
+    kept: str = "as it is"
+    """Reason why it is the photograph's own; empty if it is softened."""
+    sun: float = 0.0
+    """Confidence that the sun shines, 0 to 1, by which it is softened."""
+
+    @property
+    def is_softened(self) -> bool:
+        return not self.kept
+
+    @property
+    def kind(self) -> str:
+        """Words for all photographs with which the same was done."""
+        return f"kept ({self.kept})" if self.kept else "softened to overcast"
+
+    @property
+    def words(self) -> str:
+        """What was done to it."""
+        return f"{self.kind} (sun {self.sun:.2f})" if self.is_softened else self.kind
+
+
+AS_TAKEN = PhotoLight()
+
+
+def light_words(counts: Mapping[str, int]) -> str:
+    """Return what was done to the light of photographs, by the number of them for each kind of a `PhotoLight`."""
+    if len(counts) == 1:
+        return next(iter(counts))
+    return ", ".join(f"{count} {kind}" for kind, count in sorted(counts.items(), key=lambda each: (-each[1], each[0])))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Photograph:
     """Photograph (sRGB) behind rain."""
 
     pixels: UInt8[np.ndarray, "h w 3"]
+    """In the light in which it is drawn."""
     distances: Distances
+    light: PhotoLight = AS_TAKEN
 
     def in_rain(self, falling: RainFrame, share: Float32[np.ndarray, "h w 1"]) -> UInt8[np.ndarray, "h w 3"]:
         """Return the photograph B behind drops that cover a share W of each pixel: (1 - W) (T B + (1 - T) A) + W S.
@@ -117,7 +153,7 @@ def _tangents(camera: Camera) -> Float32[np.ndarray, "h w 2"]:
     return directions[..., :2] / np.maximum(directions[..., 2:], np.float32(_MIN_AHEAD))
 
 
-def _maps(camera: Camera, source: Camera) -> tuple[Plane, Plane]:
+def maps_between(camera: Camera, source: Camera) -> tuple[Plane, Plane]:
     """Column and row in the picture of a source, at the same place, of each pixel of a camera (first center at 0)."""
     tangents = _tangents(camera)
     ahead = np.dstack([tangents, np.ones(tangents.shape[:2], np.float32)]).reshape(-1, 3)

@@ -43,6 +43,8 @@ class PictureProvenance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
     calibration: str
     seed: int
     light: LightRecord
+    photo_light: str | None = None
+    """What was done to the light of a photograph, such as `softened to overcast (sun 0.82)`; None for a scene."""
     distances: str
     """Distances of what the medium is in front of: those of the scene, measured, or assumed ones of a level road."""
     passes: tuple[str, ...]
@@ -90,6 +92,7 @@ def provenance_of(frame: FrameInput) -> PictureProvenance:
             overcast=0.0 if frame.rainfall is None else frame.rainfall.overcast_at(frame.time_s),
             wetness=frame.wetness,
         ),
+        photo_light=None if frame.photograph is None else frame.photograph.light.words,
         distances=distances, passes=drawn,
         left_out=tuple(each.name for each in registry.PASSES if each.name not in drawn),
         rain=msgspec.to_builtins(simulation.rain), weather=msgspec.to_builtins(weather) if weather.keys else None,
@@ -103,6 +106,7 @@ def provenance_of(frame: FrameInput) -> PictureProvenance:
 def frame_of(provenance: PictureProvenance, scene: Scene, photograph: Photograph | None = None) -> FrameInput:
     """Return the picture again, of the scene, or of the photograph, that it was made of.
 
+    A photograph is drawn in the light that it has: where `photo_light` is softened, that of `CapturePhotos.frame`.
     Water on the glass of a moving camera is that of one which has always been at rest. Raises `ValueError` for settings
     out of bounds, and for a calibration, sensor or file of lamps that is missing.
     """

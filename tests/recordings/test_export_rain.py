@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from app.main import run
+from appearance.sunny_street import capture_of, street_photo
 from datasets.sample_drives import write_kitti
 from gsrain_engine.datasets.capture_folder import write_views
 from gsrain_engine.datasets.open_capture import open_capture
@@ -127,6 +128,33 @@ def test_no_rain_is_the_same_images(recording, tmp_path):
     assert run(["export-rain", str(recording), "-o", str(tmp_path / "dry"), "--rain", "0"]) == 0
     for own, other in zip(open_capture(tmp_path / "dry"), open_capture(recording), strict=True):
         np.testing.assert_array_equal(own.image, other.image)
+
+
+def test_the_light_of_photographs_is_softened_and_said_so_unless_it_is_kept(tmp_path, capsys):
+    folder = tmp_path / "drive"
+    for _ in write_views(folder, capture_of(street_photo(), street_photo(sunny=False))):
+        pass
+    colors = {}
+    for name, options in {"rainy": [], "kept": ["--keep-light"]}.items():
+        numbers = tmp_path / f"{name}.json"
+        target = ["-o", str(tmp_path / name), "--rain", "8", *options, "--json", str(numbers)]
+        assert run(["export-rain", str(folder), *target]) == 0
+        kinds = {"kept (--keep-light)": 2} if options else {"softened to overcast": 1, "kept (already overcast)": 1}
+        assert json.loads(numbers.read_text())["light"] == kinds
+        words = "kept (--keep-light)" if options else "1 kept (already overcast), 1 softened to overcast"
+        assert f"light: {words}\n" in capsys.readouterr().out
+        pictures = json.loads((tmp_path / f"{name}.provenance.json").read_text())["pictures"]
+        assert len({each["photo_light"] for each in pictures.values()}) == len(kinds)
+        colors[name] = [view.image for view in open_capture(tmp_path / name)]
+    assert colors["kept"][1].tobytes() == colors["rainy"][1].tobytes()
+    assert np.ptp(colors["rainy"][0][:20].mean(axis=(0, 1))) < 15 < np.ptp(colors["kept"][0][:20].mean(axis=(0, 1)))
+
+
+def test_a_scene_has_no_light_to_keep(tmp_path, capsys):
+    write_scene(small_scene(), tmp_path / "scene.ply")
+    target = ["-o", str(tmp_path / "rain.ply"), "--rain", "8", "--keep-light"]
+    assert run(["export-rain", str(tmp_path / "scene.ply"), *target]) == 2
+    assert "--keep-light: " in capsys.readouterr().err
 
 
 def test_a_damaged_image_is_named_and_stays_as_it_is(recording, tmp_path, capsys):

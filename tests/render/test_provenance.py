@@ -6,6 +6,8 @@ import msgspec
 import numpy as np
 import pytest
 
+from appearance.sunny_street import capture_of, street_photo
+from gsrain_engine.appearance.capture_photos import CapturePhotos
 from gsrain_engine.rain.frame import SkyLight
 from gsrain_engine.rain.keyframes import RainKeyframe, RainKeyframes
 from gsrain_engine.rain.settings import RainSettings, load_preset
@@ -82,3 +84,16 @@ def test_a_photograph_is_drawn_again_and_says_whose_its_distances_are(measured):
     again = frame_of(found, world, photograph)
     drawn = draw(renderer, frame).read_uint8()
     assert draw(renderer, again).read_uint8().tobytes() == drawn.tobytes() != photo.tobytes()
+
+
+@pytest.mark.parametrize("keeps", [False, True])
+def test_a_photograph_under_clouds_is_drawn_again_and_says_what_was_done_to_its_light(keeps):
+    capture, rain = capture_of(street_photo()), RainSettings(intensity_mm_h=8, keep_light=keeps)
+    frame = CapturePhotos(capture).frame(capture[0], RainSimulation.start(rain))
+    found = read_back(frame)
+    assert found.photo_light == ("kept (--keep-light)" if keeps else "softened to overcast (sun 1.00)")
+    settings = msgspec.convert(found.rain, RainSettings)
+    photographs = CapturePhotos(capture).frame(capture[0], RainSimulation.start(settings)).photograph
+    again = draw(CpuRenderer(), frame_of(found, frame.scene, photographs)).read_uint8()
+    assert again.tobytes() == draw(CpuRenderer(), frame).read_uint8().tobytes()
+    assert provenance_of(frame_of(found, frame.scene, photographs)).photo_light == found.photo_light

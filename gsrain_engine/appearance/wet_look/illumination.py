@@ -320,7 +320,7 @@ def extend_sky_mask(view: ClearView) -> ClearView:
     is_open = ((view.depth <= 0) | is_white) & rising & view.has_surfaces
     share = view.sky
     for _ in range(_ROUNDS):
-        behind, around = _local_sky(view.image, share)
+        behind, around = local_sky(view.image, share)
         like = 1 - smoothstep(*_LIKE, np.abs(view.image - behind).max(axis=-1))
         near = np.where(is_open, smoothstep(*_NEAR_SKY, around), smoothstep(*_AMIDST, around))
         grown = np.maximum(share, like * near * rising).astype(np.float32)
@@ -349,12 +349,12 @@ def remove_sky_color(view: ClearView) -> Image:
     Renderers and cameras mix edges alike: image = sky share * sky + rest * surface, solved for the surface.
     """
     share = view.sky[..., None]
-    behind, _ = _local_sky(view.image, view.sky)
+    behind, _ = local_sky(view.image, view.sky)
     rest = np.maximum(1 - share, _MIN_COVER)
     return np.clip((view.image - share * behind) / rest, 0, 1).astype(np.float32)
 
 
-def _local_sky(image: Image, share: Plane) -> tuple[Image, Plane]:
+def local_sky(image: Image, share: Plane) -> tuple[Image, Plane]:
     """Color of the clear sky around each pixel (display), and the share of pure sky pixels there."""
     weight = (share > 0.9).astype(np.float32)
     sigma = max(1.0, _LOCAL_SHARE * share.shape[1])

@@ -7,6 +7,7 @@ from typing import Literal, NamedTuple
 
 from msgspec import structs
 
+from ...appearance.overcast_photos import SOFTENED_ABOVE_MM_H
 from ...rain.settings import RainSettings
 from ...rain.wetness import OVERCAST_MM_H, wetness
 from ...render.passes import registry
@@ -24,7 +25,7 @@ LIGHT = "light"
 WET = "wet"
 FRICTION = "friction"
 
-_LIGHT = Factor(LIGHT, "overcast light", needs_wet_ground=True)
+_LIGHT = Factor(LIGHT, "overcast light", {"keep_light": True}, {"keep_light": False}, needs_wet_ground=True)
 _WET = Factor(WET, "wet look", {"wetness": 0.0}, {"wetness": None}, needs_wet_ground=True)
 _FRICTION = Factor(FRICTION, "wet friction")
 
@@ -106,14 +107,17 @@ class RainFactors:
         `names` are the factors of which the rain is to consist: others are switched off, absent ones on; "all" are
         those that it has. `scene` is the scene's name as `load_scene` takes it, `friction` that of a drive. Factors
         that can't act are left out: those `lacking` in the scene, light without a scene that has it alone, and what
-        needs wet ground below 0.3 mm/h.
+        needs wet ground below 0.3 mm/h. Photographs lack all on wet ground; their light is softened from 2.5 mm/h on.
         """
         check_factors(names)
         twin, chosen = overcast_twin(scene), set(names)
         if ALL in chosen:
             chosen |= {each.name for each in factors().values() if each.name == LIGHT or _is_on(each, rain)}
             chosen |= {FRICTION} if friction == "wet" else set()
+        on_photographs = WET in lacking and LIGHT not in lacking
         for each in factors().values():
+            if each.name == LIGHT and not on_photographs:
+                continue
             if each.name not in chosen and _is_on(each, rain):
                 rain = structs.replace(rain, **each.off)
             elif each.name in names and not _is_on(each, rain):
@@ -127,7 +131,11 @@ class RainFactors:
         if friction is not None:
             friction = "wet" if FRICTION in chosen else "dry"
         is_wet = WET in chosen and WET not in absent
-        if not is_wet or (wetness(rain.intensity_mm_h) if rain.wetness is None else rain.wetness) == 0:
+        if on_photographs:
+            absent |= on_wet_ground() - {LIGHT}
+            if rain.keep_light or rain.intensity_mm_h <= SOFTENED_ABOVE_MM_H:
+                absent.add(LIGHT)
+        elif not is_wet or (wetness(rain.intensity_mm_h) if rain.wetness is None else rain.wetness) == 0:
             absent |= on_wet_ground()
         elif twin is None or rain.wetness is not None or rain.intensity_mm_h < OVERCAST_MM_H:
             absent.add(LIGHT)

@@ -23,7 +23,7 @@ from ...report.table import Table, columns
 from ...safe_io.text_files import figure_words
 from ...scene.scene import Scene
 from ...water.spray import has_fast_vehicles
-from ..attribution.factors import RainFactors, factor_names, on_wet_ground, title_of
+from ..attribution.factors import LIGHT, RainFactors, factor_names, on_wet_ground, title_of
 from ..attribution.results import Attribution, Measure, attributions
 from ..attribution.shapley import Coalition
 from .figures import figure_pixels
@@ -112,15 +112,16 @@ def rain_attributions(
     seeds: Sequence[int],
     *,
     in_front: bool,
+    softens_light: bool = False,
 ) -> list[RainAttribution]:
     """Take the rain apart at each intensity above 0.
 
-    `names`, `scene_name` as for `RainFactors.of`. Raises ValueError for factors that are unknown or that the scene
-    lacks, and for a rain without any.
+    `names`, `scene_name` as for `RainFactors.of`; `softens_light` where photographs may be under clouds. Raises
+    ValueError for factors that are unknown or that the scene lacks, and for a rain without any.
     """
     lacking: set[str] = set()
     if in_front:
-        lacking = set(factor_names()) - {"streaks", "medium", "glass"}
+        lacking = set(factor_names()) - {"streaks", "medium", "glass"} - ({LIGHT} if softens_light else set())
     elif not scene.has_wet_colors:
         lacking = set(on_wet_ground())
     else:

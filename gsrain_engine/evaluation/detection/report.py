@@ -13,6 +13,7 @@ from PIL import Image
 
 from ...rain.properties import extinction_note
 from ...render.images import write_image
+from ...render.photograph import light_words
 from ...report.numbers import command_line, finite_numbers, version_of, write_json
 from ...report.page import ReportFigure, RunReport, write_report
 from ...report.table import Table
@@ -94,12 +95,14 @@ class DetectionReport:
 
     @property
     def notes(self) -> list[str]:
-        """A sentence for each detector that finds nothing, or that has no class for some of the objects."""
+        """A sentence for each detector that finds nothing or lacks a class, and one on the light of photographs."""
         silent = [
             f"Warning: {name} finds nothing in any clear picture (confidence of {summary.FOUND_FROM:g} or more): its "
             "description may be wrong in channels, scale, mean, deviation, fit or padding."
             for name in self.silent
         ]
+        light = self.settings["light"]
+        silent += [f"light of the photographs: {light_words(light)}"] if light else []
         return silent + [
             f"Not asked of {name}, which has no word for them: {_listed(each)}."
             for name, each in self.not_named.items()
@@ -213,6 +216,7 @@ def detection_report(
             msgspec.structs.replace(views.pictures.rain, intensity_mm_h=each.intensity_mm_h) for each in scored
         ),
         "rain_before_pictures": views.pictures.photos is not None,
+        "light": views.pictures.lights(views.frames, max(row.intensity_mm_h for row in rows)),
         "pictures": {
             f"{intensity:g} mm/h": msgspec.to_builtins(views.pictures.provenance(views.frames[0], intensity))
             for intensity in sorted({row.intensity_mm_h for row in rows if row.picture == "rainy"})

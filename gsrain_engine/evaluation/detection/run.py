@@ -1,6 +1,7 @@
 """Detection sweep over views, rain rates and seeds: images, evaluation, result cache, and frames."""
 
 import hashlib
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import cache, partial
@@ -160,6 +161,14 @@ class ConditionRenderer:
         """Return what the picture of a view in rain of the first seed holds."""
         return provenance_of(self.frame_input(frame, Condition("rainy", intensity_mm_h, (0,))))
 
+    def lights(self, frames: Sequence[EvaluatedFrame], intensity_mm_h: float) -> dict[str, int]:
+        """Count photographs by what was done to their light in the rain of the first seed; empty for a scene."""
+        if self.photos is None:
+            return {}
+        rainfall = self._rainfall(Condition("rainy", intensity_mm_h, (0,)))
+        views = [frame.recorded for frame in frames if frame.recorded is not None]
+        return dict(Counter(self.photos.light(view, rainfall).kind for view in views))
+
     def _variant(self, trial: Condition) -> RainVariant:
         return self.variants[trial.variant] if trial.variant else RainVariant(self.rain, self.scene, self.sky)
 
@@ -279,7 +288,7 @@ def object_rows(judgement: DetectionResult) -> Iterator[ObjectRow]:
 # One JSON line per result, so that a stopped sweep can resume.
 
 FINISHED_FILE = "finished.jsonl"
-_FORM = b"2"  # format version; increased if the evaluation of the same inputs changes
+_FORM = b"3"  # format version; increased if the evaluation of the same inputs changes
 _DIGITS = 16
 _Image = tuple[str, str, float, int, str]  # key of detector and view, kind of image, rain rate, first seed, variant
 

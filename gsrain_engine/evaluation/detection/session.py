@@ -230,12 +230,12 @@ def _decomposed(
     rain, in_front = pictures.rain, pictures.photos is not None
     parts = rain_attributions(
         rain, settings.attribute, name, pictures.scene, _rising(settings.intensities_mm_h), range(settings.seeds),
-        in_front=in_front,
+        in_front=in_front, softens_light=pictures.photos is not None and pictures.photos.have_distances,
     )  # fmt: skip
     rain = msgspec.structs.replace(parts[-1].factors.rain, intensity_mm_h=rain.intensity_mm_h)
     own = RainVariant(rain, pictures.scene, pictures.sky)
     twin = None
-    if any("light" in part.factors.names for part in parts):
+    if not in_front and any("light" in part.factors.names for part in parts):
         scene = load_sorted_scene(overcast_twin(name))  # its hash is not an input: it has the source of the street
         twin = own._replace(scene=scene, sky=sky_color(pictures.renderer, scene, view.camera, view.time_s))
     variants = {name: each for part in parts for name, each in part.variants(own, twin).items()}

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from msgspec import structs
 
+from appearance.sunny_street import capture_of, street_photo
 from boxy_scene import boxy_scene
 from evaluation.detection.test_run import AHEAD, SKY, Oracle
 from gsrain_engine.appearance.capture_photos import CapturePhotos
@@ -120,3 +121,25 @@ def test_drop_sizes_are_compared_at_the_same_rate(scene, frame):
     base = next(each for each in results if each.trial == clear).matches[0].confidence
     assert scores[2].change.value == pytest.approx(scores[2].confidence.value - base)
     assert drop_size_figure(scores).shape[2] == 3
+
+
+def test_light_of_sunny_photographs_is_a_factor_where_it_is_softened():
+    capture = capture_of(street_photo())
+    photos = CapturePhotos(capture)
+    (frame,) = recorded_frames(photos.world, [PlacedCamera("view 0", capture[0].camera)], capture, {"view 0": ()})
+    rain = structs.replace(RAIN, glass="none")
+
+    def attributed(intensity_mm_h, **changes):
+        changed = structs.replace(rain, **changes)
+        return rain_attributions(
+            changed, ("all",), None, photos.world, (intensity_mm_h,), (0,), in_front=True, softens_light=True
+        )[0]
+
+    assert attributed(2.0).factors.names == attributed(8.0, keep_light=True).factors.names == ("streaks", "medium")
+    part = attributed(8.0)
+    assert part.factors.names == ("streaks", "medium", "light")
+    own = RainVariant(part.factors.rain, photos.world, SKY)
+    pictures = ConditionRenderer(CpuRenderer(), photos.world, rain, SKY, photos, part.variants(own, None))
+    blue = {each.variant: np.ptp(pictures.take(frame, each)[:20].mean(axis=(0, 1))) for each in part.conditions}
+    assert blue["light"] < 15 and blue["streaks+light"] < 15 and blue["streaks+medium"] > 40
+    assert pictures.lights([frame], 8.0) == {"softened to overcast": 1}
