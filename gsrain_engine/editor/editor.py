@@ -32,7 +32,7 @@ from .make_rainy import WetLookController
 from .matching import MatchingController
 from .night import NightLook
 from .preferences import PreferencesStore
-from .rain import CalibrationTools, KeyframePanelState
+from .rain import CalibrationTools
 from .rain_tracks import RainTracks
 from .recorder import RenderQueue
 from .scene_setup import SceneSetup
@@ -65,7 +65,6 @@ class Editor:
         self.viewport = ViewportState(self.document, self.playback)
         self.selection = SelectionTool(self.document, self.playback)
         self.camera_path = CameraPathEditor(self.document, self.viewport, self.playback, self.status)
-        self.keyframe_panel = KeyframePanelState()
         self.rain_tracks = RainTracks(self.document, self.playback)
         self.captures = CaptureController(self.viewport, self.status)
         self.matching = MatchingController(self.viewport, self.captures)

@@ -14,13 +14,13 @@ from gsrain_engine.editor.document import OBJECT_AIR, with_preset
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.edits.level import set_length
 from gsrain_engine.editor.edits.members import set_visible
-from gsrain_engine.editor.edits.rain_keyframes import replace_keyframes, set_keyframe_number
+from gsrain_engine.editor.edits.rain_keyframes import replace_keyframes
 from gsrain_engine.editor.jobs.job import JobError
 from gsrain_engine.editor.scene_setup import SETUP_MM_H
 from gsrain_engine.presets import shipped_config_names
 from gsrain_engine.rain.calibration import load_calibration
 from gsrain_engine.rain.keyframes import RainKeyframe, RainKeyframes
-from gsrain_engine.rain.settings import HEAVIEST_MM_H, RainSettings, load_preset
+from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.scene.scene import Layer, Scene
@@ -85,16 +85,6 @@ def test_a_change_of_a_keyed_field_is_a_key_at_the_present_time(editor):
     editor.document.undo()
     editor.document.undo()
     assert key_times() == [0.0, 10.0]
-
-
-def test_numbers_of_a_keyframe_are_changed_within_their_bounds():
-    keyframes = RainKeyframes().with_key(1.0, intensity_mm_h=2.0)
-    for name, value, changed in (
-        ("intensity_mm_h", 1000.0, {"intensity_mm_h": HEAVIEST_MM_H}), ("exposure_s", 5.0, {"exposure_s": 0.005}),
-        ("wind x", 50.0, {"wind_m_s": (40.0, 0.0)}), ("wind y", -3.0, {"wind_m_s": (0.0, -3.0)}), ("time", 7.0, {}),
-    ):  # fmt: skip
-        key = RainKeyframe(**{"time_s": value if name == "time" else 1.0, "intensity_mm_h": 2.0} | changed)
-        assert set_keyframe_number(keyframes, 1.0, name, value).keys == (key,)
 
 
 def test_drops_go_on_from_where_they_are_when_rain_or_keys_change(editor):
