@@ -9,7 +9,7 @@ from gsrain_engine.editor.edits.rain_keyframes import replace_keyframes
 from gsrain_engine.editor.overlays import path_overlay_of
 from gsrain_engine.editor.rain_regions import face_handles, inset_view
 from gsrain_engine.editor.steps import steps_since
-from gsrain_engine.rain.keyframes import RainKeyframe, RainKeyframes
+from gsrain_engine.rain.keyframes import RainKeyframes
 from gsrain_engine.rain.settings import HAZE_REGION, HEAVIEST_MM_H, RainSettings
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.render.view import rain_anchor
@@ -132,7 +132,12 @@ def test_a_key_is_dragged_in_the_picture(driver):
     assert not np.array_equal(viewport.navigation.position, here)
 
 
-def test_time_and_values_of_a_rain_keyframe_are_typed_in_the_column_and_in_its_menu(driver):
+def test_time_and_values_of_a_rain_keyframe_are_typed_in_its_menu_and_next_to_the_rows(unopened):
+    unopened.size_px = 1500, 900
+    unopened.run(lambda: type_numbers_of_rain_keyframes(unopened))
+
+
+def type_numbers_of_rain_keyframes(driver):
     editor = driver.editor
     document, tracks = editor.document, editor.rain_tracks
     hill = RainKeyframes().with_key(0.0, intensity_mm_h=0.0).with_key(4.0, intensity_mm_h=8.0)
@@ -144,11 +149,15 @@ def test_time_and_values_of_a_rain_keyframe_are_typed_in_the_column_and_in_its_m
     assert document.history.undo_label == "Move rain keyframe" and tracks.active == ("intensity_mm_h", 1)
     driver.double_click("//Timeline/**/##value")
     driver.enter("500")
-    assert document.keyframes.keys[-1] == RainKeyframe(time_s=pytest.approx(3.21), intensity_mm_h=HEAVIEST_MM_H)
+    last = document.keyframes.keys[-1]
+    assert (last.time_s, last.intensity_mm_h) == (pytest.approx(3.21), HEAVIEST_MM_H)
     driver.click_at(driver.area("//Timeline/**/wind key 0")[0] + 6, button=1)
-    driver.type_in("//$FOCUSED/**/##key time", 1.5)
+    driver.type_in("//$FOCUSED/##key time", 1.5)
     driver.type_in("//$FOCUSED/##value/$$1", -60.0)
     assert document.keyframes.key_at(1.5).wind_m_s == (1.0, -40.0)
+    driver.press(KEY.escape)
+    driver.click("//Timeline/**/Whole path")
+    assert tracks.active is None
     for _ in range(4):
         document.undo()
     assert document.keyframes == hill.with_key(2.0, wind_m_s=(1.0, 2.0))

@@ -86,6 +86,8 @@ def timeline_panel(editor: Editor) -> None:
                 _keyframe_numbers(editor, path, key)
             elif (rain_key := editor.rain_tracks.active) is not None:
                 track_key_numbers(editor.document, editor.rain_tracks, rain_key)
+                if button("Whole path", _WHOLE_PATH_HELP, width=-1):
+                    editor.rain_tracks.choose(None)
             else:
                 _path_numbers(editor, path)
         imgui.end_child()
@@ -549,6 +551,7 @@ def _keyframe_menu(playback: Playback, document: Document, camera_path: CameraPa
 # Numbers of the active keyframe, else of the whole path
 
 _TOO_FAST = ImVec4(0.95, 0.45, 0.38, 1.0)
+_WHOLE_PATH_HELP = "Show speed, easing and the other numbers of the whole path."
 
 
 def _keyframe_numbers(editor: Editor, path: CameraPath, key: int) -> None:
@@ -559,7 +562,7 @@ def _keyframe_numbers(editor: Editor, path: CameraPath, key: int) -> None:
     if typed is not None:
         camera_path.retime_keyframe(key, typed)
     imgui.same_line(spacing=6)
-    if button("Whole path", "Show speed, easing and the other numbers of the whole path.", width=-1):
+    if button("Whole path", _WHOLE_PATH_HELP, width=-1):
         editor.playback.timeline.key = None
     help_text = "Position in the world: x, y, z in meters, z is up. Ctrl+click types a number."
     label_before("Position", help_text)
