@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any, TextIO, cast
 
 import msgspec
 
-from gsrain_engine.scene.files import hold_for_writing, name_problem, shortened, whole_file
+from gsrain_engine.safe_io.file_names import name_problem, shortened
+from gsrain_engine.safe_io.files import hold_for_writing, whole_file
 
 from .console import print, print_lines
 

@@ -22,7 +22,7 @@ from gsrain.viewer_messages import (
     receive,
     send,
 )
-from gsrain_engine.scene.files import sentence_of
+from gsrain_engine.safe_io.errors import sentence_of
 
 from .options import window_problem
 

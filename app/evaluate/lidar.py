@@ -22,8 +22,8 @@ from gsrain_engine.rain.calibration import load_calibration
 from gsrain_engine.rain.properties import extinction_note
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.safe_io.errors import convert_checked
+from gsrain_engine.safe_io.file_names import file_word
 from gsrain_engine.safe_io.text_files import read_whole, yaml_values
-from gsrain_engine.scene.files import file_word
 from gsrain_engine.scene.open import file_hash, scene_hash
 
 from ..console import Console, Table, progress_bar, table_of

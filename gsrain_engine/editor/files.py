@@ -15,9 +15,10 @@ import msgspec
 
 from ..datasets.open_capture import capture_format
 from ..rain.settings import load_preset
+from ..safe_io.errors import SceneFormatError
+from ..safe_io.files import lock_path, whole_file
 from ..safe_io.limits import read_file
 from ..safe_io.text_files import MAX_BYTES, printable_line
-from ..scene.files import SceneFormatError, lock_path, whole_file
 from ..scene.formats.registry import format_of, lost_in_file, writable_suffixes
 from ..scene.formats.scene_files import names_scene_folder, write_scene
 from ..scene.formats.scene_folder import SCENE_FILE, FileCache

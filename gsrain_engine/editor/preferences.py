@@ -10,8 +10,8 @@ import platformdirs
 from msgspec import Meta
 
 from ..safe_io.errors import convert_checked
+from ..safe_io.files import lock_path, whole_file
 from ..safe_io.text_files import read_whole, yaml_values
-from ..scene.files import lock_path, whole_file
 from ..settings import Settings
 from .status import Answer, Question, StatusBus, describe_error
 

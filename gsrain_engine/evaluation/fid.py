@@ -12,8 +12,8 @@ import platformdirs
 from jaxtyping import Bool, Float, Float32, Float64, Int64, UInt8
 
 from ..datasets.capture import Capture
+from ..safe_io.files import whole_file
 from ..safe_io.limits import open_file
-from ..scene.files import whole_file
 from .fid_features import SIZE_PX, Extractor, ExtractorChoice, cell_statistics
 from .image_metrics import CONFIDENCE
 

@@ -11,7 +11,7 @@ from jaxtyping import Float64, Int64, UInt8
 from markupsafe import Markup
 
 from ..render.renderer import describe_machine
-from ..scene.files import whole_file
+from ..safe_io.files import whole_file
 from . import report_charts as charts
 from .report_charts import ImageComparison
 

@@ -30,7 +30,7 @@ from ..render.opengl.shaders import ShaderSource
 from ..render.renderer import Renderer
 from ..render.sequence import FrameSequence
 from ..render.view import RenderView, rain_camera
-from ..scene.files import whole_file
+from ..safe_io.files import whole_file
 from ..scene.geometry import quaternions_from_matrices
 from ..scene.progress import Progress
 from ..scene.scene import Scene

@@ -20,7 +20,7 @@ from ..evaluation.attribution.results import (
 )
 from ..evaluation.attribution.shapley import Coalition
 from ..evaluation.report import ReportFigure
-from ..scene.files import whole_file
+from ..safe_io.files import whole_file
 from ..simulation.metrics.summary import table_csv
 from .expansion import AttributedDrive
 from .results import FINISHED, Row

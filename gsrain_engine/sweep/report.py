@@ -20,8 +20,9 @@ from ..evaluation.attribution.results import Attribution, share_table
 from ..evaluation.report import ReportFigure, ReportTable, RunReport, write_report
 from ..evaluation.report_charts import SeriesStyle, series_styles
 from ..rain.settings import CALIBRATED_UP_TO_MM_H
+from ..safe_io.file_names import shortened
+from ..safe_io.files import whole_file
 from ..safe_io.text_files import figure_words
-from ..scene.files import shortened, whole_file
 from ..simulation.metrics.summary import table_csv
 from . import results
 from .attribution import drive_attributions, write_attribution

@@ -17,9 +17,9 @@ from msgspec import Struct, inspect
 from scipy.stats import binomtest
 
 from ..evaluation.image_metrics import CONFIDENCE, mean_interval
+from ..safe_io.files import whole_file
 from ..safe_io.limits import read_file
 from ..safe_io.text_files import printable_line
-from ..scene.files import whole_file
 from ..simulation.metrics.summary import DriveMetrics
 from ..simulation.rollout_io import write_rollout
 from .expansion import Job

@@ -16,7 +16,7 @@ from typing import Any, Generic, Literal, TypeVar, cast
 import numpy as np
 from jaxtyping import Float64
 
-from ...scene.files import sentence_of
+from ...safe_io.errors import sentence_of
 from ...scene.progress import PENDING, Progress
 from .folder import temporary_folder
 from .process import JobState, Work, WorkerProcess, WorkerThread

@@ -23,8 +23,8 @@ import numpy as np
 import psutil
 from jaxtyping import Int64, UInt8
 
+from ...safe_io.errors import sentence_of
 from ...safe_io.limits import receive_message
-from ...scene.files import sentence_of
 from ...scene.progress import Progress
 from ...threads import WORKER_NICENESS, thread_limit, usable_cores
 

@@ -15,8 +15,7 @@ from ...evaluation.lpips_weights import find_lpips_weights
 from ...evaluation.report import write_report
 from ...recolor.recolor import RecolorOptions, RecolorRun, recolor_to_capture
 from ...recolor.result import read_recolored, with_colors, write_recolored
-from ...safe_io.errors import MissingInputsError, not_found
-from ...scene.files import SceneFormatError
+from ...safe_io.errors import MissingInputsError, SceneFormatError, not_found
 from ...scene.formats.scene_files import read_scene
 from ...scene.formats.scene_folder import FileCache
 from ...scene.progress import Progress

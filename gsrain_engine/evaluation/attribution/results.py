@@ -12,8 +12,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from ...safe_io.files import whole_file
 from ...safe_io.text_files import figure_words
-from ...scene.files import whole_file
 from ..report import ReportTable
 from ..report_charts import series_styles
 from .factors import RainFactors, title_of

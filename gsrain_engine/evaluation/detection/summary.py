@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float64
 from scipy.special import stdtrit
 
-from ...scene.files import whole_file
+from ...safe_io.files import whole_file
 from .ground_truth import is_same_class
 from .metrics import DistanceRecall, Robustness, average_precision, recall_by_distance, robustness
 from .run import DetectionResult, Kind, ObjectRow

@@ -15,7 +15,7 @@ from matplotlib.ticker import PercentFormatter
 from ...rain.properties import RainProperties
 from ...rain.settings import RainSettings
 from ...rain.simulation import RainSimulation
-from ...scene.files import whole_file
+from ...safe_io.files import whole_file
 from ...water.spray import spray_of
 from ..report_charts import Color, shades
 from .rain_echoes import DropReturnModel

@@ -13,8 +13,8 @@ import numpy as np
 from msgspec import Meta
 
 from ...evaluation.image_metrics import MeanInterval, mean_interval
+from ...safe_io.files import whole_file
 from ...safe_io.text_files import escape_invisible
-from ...scene.files import whole_file
 from ..obstacles import Drivable, OccupiedSpace
 from ..rollout import Rollout
 from ..rollout_io import write_rollout
