@@ -1,6 +1,5 @@
 """Rain of the document: keyframes, drops in the air, roofs, measurements and calibrations."""
 
-from concurrent.futures import wait as wait_for
 from contextlib import closing, suppress
 
 import msgspec
@@ -111,7 +110,7 @@ def test_rain_falls_through_roofs_until_they_are_found():
         assert editor.busy == "Finding roofs"
         assert not editor.split_panes[0].rainfall.rain.roofs
         editor.tick(0.0)
-        wait_for(editor.pending_files, timeout=60)
+        editor.background.wait(60)
         assert editor.busy is None
         assert editor.split_panes[0].rainfall is editor.live_rain.simulation
         editor.document.edit("Show or hide", set_visible, "layers/road", False)  # another scene, as seen from above
