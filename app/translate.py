@@ -32,8 +32,8 @@ from gsrain_engine.appearance.registry import find_method, missing_for_transfer,
 from gsrain_engine.appearance.scene_views import OWN_WIDTH_PX, ViewChoice, chosen_cameras, chosen_views, scene_views
 from gsrain_engine.appearance.wet_look.environment import ImageEnvironment, ReflectionEnvironment, SceneEnvironment
 from gsrain_engine.datasets.open_capture import open_capture
+from gsrain_engine.editor.finetune import train_transfer as work
 from gsrain_engine.editor.jobs.training import HOW_TO_GET_DIFFUSION, require_torch
-from gsrain_engine.editor.jobs.training import train_transfer as work
 from gsrain_engine.rain.settings import HEAVIEST_MM_H
 from gsrain_engine.rain.wetness import wetness
 from gsrain_engine.render.images import write_image

@@ -1,9 +1,9 @@
 """Tools of the rain panels: virtual disdrometer, calibration fits, and import of measured series."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import platformdirs
@@ -12,7 +12,7 @@ from ..rain.calibration import Calibration, calibration_names, load_calibration,
 from ..rain.simulation import RainSimulation
 from ..scene.progress import Progress
 from .document import Document
-from .jobs.job import Job, JobRunner, no_result
+from .jobs.job import Job, JobRunner
 from .status import StatusBus
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ class CalibrationTools:
         """Calibration files opened or written in this window."""
         self.series: MeasuredSeries | None = None
         """A disdrometer file about to be imported as rain keyframes."""
-        self.job: Job[None] | None = None
+        self.job: Job[Any] | None = None
         """The last measurement."""
 
     @property
@@ -184,12 +184,11 @@ class CalibrationTools:
 
     def _begin(self, title: str, work: Callable[[], _Result], take: Callable[[_Result], str]) -> None:
         """Start a measurement unless another one runs; `take` processes its result and describes it, or raises."""
-        results = list[_Result]()
 
-        def run() -> Iterator[Progress]:
+        def run() -> Generator[Progress, None, _Result]:
             yield Progress(0.0, title)
-            results.append(work())
+            return work()
 
         if self.busy is None:
-            job = Job("calibration", title, run, no_result, in_thread=True, ends_with_scene=False)
-            self.job = self._jobs.start(job, lambda _, __: take(results[0]))
+            job = Job[_Result]("calibration", title, run, in_thread=True, ends_with_scene=False)
+            self.job = self._jobs.start(job, lambda result, _: take(result))

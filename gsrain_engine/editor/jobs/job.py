@@ -66,8 +66,9 @@ class Job(Generic[_Result]):
     title: str
     work: Work
     """Function for the worker, which gets the arguments that `inputs` returns."""
-    read: Callable[[Path], _Result]
-    """Reads the result from the job's folder; in the thread for files."""
+    read: Callable[[Path], _Result] | None = None
+    """Reads the result from the job's folder, in the thread for files; by default the result is what `work` returns in
+    a thread, and None of a process."""
     inputs: Callable[[Path], tuple[Any, ...]] = lambda _: ()
     """Writes the worker's input into the job's folder, and returns the arguments; in the thread for files."""
     snapshot: Callable[[Path], _Result | None] | None = None
@@ -150,8 +151,8 @@ class Job(Generic[_Result]):
 
     def forget_work(self) -> None:
         """Free what its functions refer to, such as scenes."""
-        self.work = self.inputs = self.read = _ended
-        self.snapshot = None
+        self.work = self.inputs = _ended
+        self.read = self.snapshot = None
 
 
 def duration_text(seconds: float) -> str:
@@ -162,10 +163,6 @@ def duration_text(seconds: float) -> str:
         return f"{seconds:.0f} s"
     minutes, rest = divmod(round(seconds), 60)
     return f"{minutes}:{rest:02d} min" if minutes < 60 else f"{minutes // 60}:{minutes % 60:02d} h"
-
-
-def no_result(_: Path) -> None:
-    """Read nothing, for jobs without a result."""
 
 
 def _ended(*_: object) -> Any:
@@ -377,8 +374,11 @@ class JobRunner:
                 job.error, job.details = worker.error, worker.details
                 raise JobError(worker.error)
             job.progress = job.progress._replace(fraction=1.0, message="Loading the result")
-            job.result = yield from _result_of(self._files.submit(job.read, folder))
-            return on_result(job.result, True)
+            if job.read is not None:
+                job.result = yield from _result_of(self._files.submit(job.read, folder))
+            elif isinstance(worker, WorkerThread):
+                job.result = worker.result
+            return on_result(cast(_Result, job.result), True)
         finally:
             preparing.cancel()
             if worker is not None:

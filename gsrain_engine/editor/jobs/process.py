@@ -183,6 +183,8 @@ class WorkerThread:
         """Start the thread."""
         self.state: JobState = "running"
         self.progress = Progress(0.0, "Starting")
+        self.result: Any = None
+        """What the generator has returned."""
         self.error: str | None = None
         self.details: str | None = None
         thread = futures.ThreadPoolExecutor(max_workers=1)
@@ -207,10 +209,11 @@ class WorkerThread:
 
     def _run(self, work: Work, arguments: tuple[Any, ...]) -> None:
         try:
-            for self.progress in work(*arguments):
-                if self.state == "cancelled":
-                    return
-            self.state = "finished"
+            steps = work(*arguments)
+            while self.state == "running":
+                self.progress = next(steps)
+        except StopIteration as end:
+            self.result, self.state = end.value, "finished"
         except Exception as error:  # as of a process: the job fails
             self.error, self.details, self.state = _sentence(error), traceback.format_exc(), "failed"
 
