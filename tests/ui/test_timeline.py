@@ -169,7 +169,7 @@ def test_all_rain_keyframes_are_made_imported_smoothed_and_cleared_from_the_menu
     driver.ctx.window_focus("//Timeline")
 
     def choose(name):
-        driver.click("//Timeline/###rain")
+        driver.click("//Timeline/**/row rain")
         driver.ctx.item_click(f"//$FOCUSED/{name}")
         driver.frames(3)
 

@@ -143,7 +143,7 @@ def _transport(editor: Editor) -> None:
     gap = _GAP / 2 if is_narrow else _GAP
     same_line_if_room(7 if is_narrow else 11, gap)
     _keyframe_buttons(editor.camera_path, has_words=not is_narrow)
-    same_line_if_room(13, gap)
+    same_line_if_room(9, gap)
     help_text = "Follow path: look through the path camera (V)."
     if button(f"{_FA.ICON_FA_EYE}###ride", help_text, is_on=view.follow_path):
         editor.viewport.ride(not view.follow_path)
@@ -153,8 +153,6 @@ def _transport(editor: Editor) -> None:
         timeline.show_path = not timeline.show_path
     imgui.same_line()
     _path_menu(editor.document, playback, editor.camera_path)
-    imgui.same_line()
-    rain_menu(editor)
     same_line_if_room(2, gap)
     help_text = "Choose a place, then record the timeline (Ctrl+R); the Record panel has format and size."
     title = f"{_FA.ICON_FA_VIDEO} Record..."
@@ -394,7 +392,8 @@ def _rows(editor: Editor, titles: float, width: float) -> None:
         _camera_row(editor, titles, width)
         for track in TRACKS:
             if track.is_always_visible or weather.is_keyed(track.field):
-                corner_of_row, row_height = _begin_row(track.title, track.help, titles, width)
+                menu = "rain menu" if track is TRACKS[0] else ""
+                corner_of_row, row_height = _begin_row(track.title, track.help, titles, width, menu)
                 track_row(editor.document, playback, editor.rain_tracks, track, corner_of_row, width, row_height)
                 _end_row(corner_of_row, titles, width, row_height)
         for row in track_rows(editor.rollouts.displayed_scene):
@@ -404,6 +403,7 @@ def _rows(editor: Editor, titles: float, width: float) -> None:
             imgui.set_scroll_y(imgui.get_scroll_y() - io.mouse_wheel * imgui.get_text_line_height())
         _keyframe_menu(playback, editor.document, editor.camera_path)
         track_menu(editor.rain_tracks, editor.document)
+        rain_menu(editor)
         _playhead(playback, ImVec2(corner.x + titles, corner.y), width, height, with_head=False)
     imgui.end_child()
     # Zoom with the wheel and pan with the middle button, over ruler and rows.
@@ -441,14 +441,21 @@ def _row(playback: Playback, row: TimelineRow, titles_px: float, width: float, h
     _end_row(corner, titles_px, width, height)
 
 
-def _begin_row(title: str, help_text: str, titles_px: float, width: float) -> tuple[ImVec2, float]:
-    """Draw title and background of a row; the rest is clipped to the part right of the titles."""
+def _begin_row(title: str, help_text: str, titles_px: float, width: float, menu: str = "") -> tuple[ImVec2, float]:
+    """Draw title and background of a row; the rest is clipped to the part right of the titles.
+
+    A click on the title opens the popup `menu`, if there is one.
+    """
     start, height = imgui.get_cursor_screen_pos(), _ROW_EM * imgui.get_font_size()
     draw, corner = imgui.get_window_draw_list(), ImVec2(start.x + titles_px, start.y)
-    imgui.invisible_button(f"row {title}", ImVec2(titles_px - 4, height))
-    imgui.set_item_tooltip(f"{title}: {help_text}")
+    if imgui.invisible_button(f"row {title}", ImVec2(titles_px - 4, height)) and menu:
+        imgui.open_popup(menu)
+    hue = color(hues.KEY if menu and imgui.is_item_hovered() else hues.TEXT)
+    imgui.set_item_tooltip(f"{title}: {help_text}" + ("\nClick: menu of all rain keyframes." if menu else ""))
     draw.push_clip_rect(start, ImVec2(corner.x - 4, start.y + height), True)
-    draw.add_text(ImVec2(start.x + 4, start.y + 0.15 * height), color(hues.TEXT), title)
+    draw.add_text(
+        ImVec2(start.x + 4, start.y + 0.15 * height), hue, f"{title} {_FA.ICON_FA_CARET_DOWN if menu else ''}"
+    )
     draw.pop_clip_rect()
     draw.push_clip_rect(corner, ImVec2(corner.x + width, corner.y + height), True)
     draw.add_rect_filled(corner, ImVec2(corner.x + width, corner.y + height - 1), color(hues.STRIPE))

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import Literal
 
 import numpy as np
-from imgui_bundle import ImVec2, icons_fontawesome_6, imgui
+from imgui_bundle import ImVec2, imgui
 
 from gsrain_engine.editor.document import Document
 from gsrain_engine.editor.editor import Editor
@@ -19,7 +19,7 @@ from gsrain_engine.scene.easing import KeyEasing
 from ..commands.table import help_of
 from ..widgets import draw as hues
 from ..widgets.draw import color
-from ..widgets.fields import CLAMPED, button, end_gesture_when_released, menu_item, plain_label
+from ..widgets.fields import CLAMPED, end_gesture_when_released, menu_item, plain_label
 from ..widgets.file_dialogs import ask_what_to_open
 from ..widgets.numbers import slide, typed_seconds
 
@@ -147,12 +147,8 @@ def ask_for_rate_file(calibration: CalibrationTools) -> None:
 
 
 def rain_menu(editor: Editor) -> None:
-    """Draw the menu of what concerns all rain keyframes, and its button."""
+    """Draw the menu of all rain keyframes, in the window of the tracks."""
     document, calibration = editor.document, editor.calibration
-    if button(
-        f"Rain {icons_fontawesome_6.ICON_FA_CARET_DOWN}###rain", "Create, import, smooth and clear the rain keyframes."
-    ):
-        imgui.open_popup("rain menu")
     if not imgui.begin_popup("rain menu"):
         return
     if menu_item("Add passing shower", help_of("Add passing shower")):

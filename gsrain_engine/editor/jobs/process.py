@@ -184,7 +184,7 @@ class WorkerThread:
         self.state: JobState = "running"
         self.progress = Progress(0.0, "Starting")
         self.result: Any = None
-        """What the generator has returned."""
+        """Return value of the generator."""
         self.error: str | None = None
         self.details: str | None = None
         thread = futures.ThreadPoolExecutor(max_workers=1)
