@@ -25,7 +25,7 @@ from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.render.video import can_write_videos
 from gsrain_engine.report.numbers import provenance_lines, run_provenance, write_text
 from gsrain_engine.report.page import write_report
-from gsrain_engine.scene.files import file_word, shortened
+from gsrain_engine.safe_io.file_names import file_word, shortened
 from gsrain_engine.scene.open import STREET, load_sorted_scene, scene_hash, with_lod_trees
 from gsrain_engine.scene.scene import Scene
 from gsrain_engine.simulation import simulation as driving

@@ -16,8 +16,7 @@ from cyclopts import App, CycloptsError, Parameter
 
 from gsrain_engine.plugins import EVALUATIONS as EVALUATION_POINT
 from gsrain_engine.plugins import find_extensions
-from gsrain_engine.safe_io.errors import MissingInputsError
-from gsrain_engine.scene.files import sentence_of
+from gsrain_engine.safe_io.errors import MissingInputsError, sentence_of
 from ui.commands.table import BENCHMARKS, EVALUATIONS, SHELL_COMMANDS
 
 from .console import Console, console_log, use_any_encoding

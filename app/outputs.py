@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
 from gsrain_engine.report.numbers import write_json
-from gsrain_engine.scene.files import hold_for_writing, name_problem, shortened
+from gsrain_engine.safe_io.file_names import name_problem, shortened
+from gsrain_engine.safe_io.files import hold_for_writing
 
 from .console import print, print_lines
 

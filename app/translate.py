@@ -24,8 +24,8 @@ from gsrain_engine.appearance.scene_views import ViewChoice
 from gsrain_engine.appearance.session import source_views, transfer_views
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.datasets.open_source import missing_source, names_scene
+from gsrain_engine.editor.finetune import train_transfer as work
 from gsrain_engine.editor.jobs.training import HOW_TO_GET_DIFFUSION, require_torch
-from gsrain_engine.editor.jobs.training import train_transfer as work
 from gsrain_engine.rain.settings import HEAVIEST_MM_H
 from gsrain_engine.rain.wetness import wetness
 from gsrain_engine.render.images import write_image

@@ -22,7 +22,7 @@ from gsrain.viewer_messages import (
     receive,
     send,
 )
-from gsrain_engine.scene.files import sentence_of
+from gsrain_engine.safe_io.errors import sentence_of
 
 from .options import window_problem
 
@@ -124,7 +124,9 @@ class ViewerWindow:
         match request:
             case SetScene():
                 if self._reading is None:
-                    self._reading = _in_thread(Path(request.folder))
+                    from gsrain_engine.scene.formats.scene_files import read_scene
+
+                    self._reading = editor.background.submit(read_scene, Path(request.folder), lane="opening")
                 if not self._reading.done():
                     return False
                 reading, self._reading = self._reading, None
@@ -171,21 +173,6 @@ class ViewerWindow:
 def _leave(editor: "Editor") -> None:
     editor.files.give_up()
     editor.should_quit = True
-
-
-def _in_thread(folder: Path) -> "Future[Scene]":
-    from gsrain_engine.scene.formats.scene_files import read_scene
-
-    reading: Future[Scene] = Future()
-
-    def read() -> None:
-        try:
-            reading.set_result(read_scene(folder))
-        except Exception as error:  # reported to the program
-            reading.set_exception(error)
-
-    threading.Thread(target=read, name="read a scene", daemon=True).start()
-    return reading
 
 
 if __name__ == "__main__":

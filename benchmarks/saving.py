@@ -34,7 +34,7 @@ def waited(editor: Editor, begin: Callable[[], None]) -> dict[str, float]:
         editor.tick(0.0)
         now = time.perf_counter()
         longest, last = max(longest, now - last), now
-        if not editor.pending_files:
+        if not editor.background.tasks:
             return {"seconds": round(now - start, 3), "longest_update_ms": round(1000 * longest, 1)}
         time.sleep(_PAUSE_S)
 

@@ -180,7 +180,7 @@ class Person:
         self._do("Close scene")
         yield from self._until(lambda: not editor.document.scene.members)
         editor.jobs.clear()
-        yield from self._until(lambda: not editor.is_working and all(each.done() for each in editor.pending_files))
+        yield from self._until(lambda: not editor.is_working and not editor.background.tasks)
         yield from self._for(3.0)  # the program gives memory back after a second
         self.is_at_rest = True
         yield

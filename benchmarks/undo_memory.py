@@ -8,8 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from gsrain_engine.editor.background_edits import find_floaters
 from gsrain_engine.editor.edits import layers
-from gsrain_engine.editor.edits.floaters import FloaterRules, FloaterSearch, select_floaters
+from gsrain_engine.editor.edits.floaters import FloaterRules
 from gsrain_engine.editor.edits.gaussians import CropBox, compact, crop, delete_selected, hide_selected
 from gsrain_engine.editor.edits.level import level_from_ground
 from gsrain_engine.editor.edits.transform import move_member, move_selected, preview_move
@@ -31,13 +32,6 @@ def arrays_of(scene: Scene) -> Iterator[np.ndarray]:
 def added_bytes(before: Scene, after: Scene) -> int:
     known = {id(array) for array in arrays_of(before)}
     return sum({id(array): array.nbytes for array in arrays_of(after) if id(array) not in known}.values())
-
-
-def find_floaters(scene: Scene) -> Scene:
-    search = FloaterSearch(scene, FloaterRules())
-    for _ in search.run():
-        pass
-    return select_floaters(scene, search.found)
 
 
 def similarity(quarter_turns: float = 0.0, scale: float = 1.0) -> np.ndarray:
@@ -72,7 +66,7 @@ def main() -> None:
         "separate half": (selected, layers.separate),
         "remove deleted for good": (deleted, compact),
         "merge with a copy": (two, lambda each: layers.merge(each, [layer.key for layer in each.layers])),
-        "find floaters": (scene, find_floaters),
+        "find floaters": (scene, lambda each: find_floaters(each, FloaterRules())),
         "level by the ground": (scene, level_from_ground),
     }
     numbers: dict[str, object] = {}

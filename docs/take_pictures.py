@@ -203,7 +203,7 @@ def picture_pages(camera: Photographer) -> None:
     editor.camera_path.path_from_drive(every_s=2.0)
     editor.playback.clock.seek(_MOMENT_S)
     editor.viewport.ride(True)
-    for panel in ("Layers", "Rain", "Rain keyframes", "View"):
+    for panel in ("Layers", "Rain", "Timeline", "View"):
         camera.ctx.window_focus(f"//{panel}")
     camera.ctx.mouse_move("//View/view")
     camera.frames(20)

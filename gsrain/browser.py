@@ -24,9 +24,9 @@ from gsrain_engine.rain.properties import rain_class
 from gsrain_engine.rain.settings import RainSettings as RainSettings
 from gsrain_engine.render.export_settings import DEFAULT_SIZE_PX
 from gsrain_engine.render.view import RenderView
+from gsrain_engine.safe_io.errors import sentence_of
 from gsrain_engine.safe_io.limits import checked_token
 from gsrain_engine.scene.camera import Camera
-from gsrain_engine.scene.files import sentence_of
 from gsrain_engine.scene.geometry import matrices_from_quaternions
 from gsrain_engine.scene.scene import Scene
 

@@ -22,12 +22,12 @@ from gsrain_engine.editor.edits.level import Axis, oriented
 from gsrain_engine.editor.steps import EditStep, apply_steps
 from gsrain_engine.editor.viewport import camera as views
 from gsrain_engine.render.export_settings import DEFAULT_SIZE_PX, LARGEST_PX
+from gsrain_engine.safe_io.errors import SceneFormatError as SceneFormatError
 from gsrain_engine.safe_io.errors import convert_checked
 from gsrain_engine.safe_io.foreign_values import as_plain_values
 from gsrain_engine.scene import camera, camera_path, gaussians
 from gsrain_engine.scene.camera import Camera as Camera
 from gsrain_engine.scene.camera_path_io import read_camera_path, write_camera_path
-from gsrain_engine.scene.files import SceneFormatError as SceneFormatError
 from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.scene.gaussians import Gaussians as Gaussians
 from gsrain_engine.scene.lamp_choice import lamp_choice

@@ -17,8 +17,8 @@ from .render.cpu.renderer import CpuRenderer
 from .render.opengl.context import NoOpenGLError, check_context, is_software, open_context
 from .render.opengl.renderer import Rasterizer, SplatRenderer
 from .render.renderer import Renderer, processor_name
+from .safe_io.files import whole_file
 from .safe_io.text_files import read_whole
-from .scene.files import whole_file
 from .scene.open import random_scene, random_scene_camera
 
 Backend = Literal["auto", "opengl", "opengl-tiles", "opengl-quads", "cpu"]

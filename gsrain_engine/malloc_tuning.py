@@ -3,7 +3,7 @@
 import ctypes
 import sys
 import time
-from concurrent.futures import Executor
+from collections.abc import Callable
 
 _TRIM_THRESHOLD, _MMAP_THRESHOLD, _ARENA_MAX = -1, -3, -8  # from glibc's malloc.h
 _LARGEST = 32 << 20  # Bytes; glibc's maximum. Larger blocks are always mapped from the system and returned to it.
@@ -48,8 +48,9 @@ def _call(name: str, *values: int) -> None:
 class MemoryTrimmer:
     """Returns freed memory in a thread, one second after work has ended."""
 
-    def __init__(self, thread: Executor) -> None:
-        self._thread = thread
+    def __init__(self, submit: Callable[[Callable[[], None]], object]) -> None:
+        """`submit` calls a function in a thread."""
+        self._submit = submit
         self._due_s: float | None = None
 
     def note_work(self) -> None:
@@ -60,4 +61,4 @@ class MemoryTrimmer:
         """Return memory when it is time. Call it once a frame."""
         if self._due_s is not None and time.monotonic() > self._due_s:
             self._due_s = None
-            self._thread.submit(trim_memory)
+            self._submit(trim_memory)

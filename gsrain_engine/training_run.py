@@ -14,8 +14,8 @@ import msgspec
 import numpy as np
 from jaxtyping import UInt8
 
+from .safe_io.files import whole_file
 from .safe_io.text_files import printable_line
-from .scene.files import whole_file
 from .scene.progress import Progress
 
 logger = logging.getLogger("gsrain")

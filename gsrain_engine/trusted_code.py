@@ -26,8 +26,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import lazy_loader
 import platformdirs
 
+from .safe_io.files import lock_path, whole_file
 from .safe_io.limits import open_file, read_file
-from .scene.files import lock_path, whole_file
 
 if TYPE_CHECKING:
     import msgspec

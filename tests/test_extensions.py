@@ -19,7 +19,7 @@ from gsrain_engine.disdrometer.spectra import DisdrometerFileError
 from gsrain_engine.evaluation.detection.decoders import DecoderInput, decode_outputs
 from gsrain_engine.evaluation.detection.description import DetectorDescription
 from gsrain_engine.plugins import ExtensionError
-from gsrain_engine.scene.files import SceneFormatError
+from gsrain_engine.safe_io.errors import SceneFormatError
 from gsrain_engine.scene.formats.registry import writable_suffixes
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from small_scene import small_scene

@@ -1,14 +1,17 @@
-"""Dialogs: About page, keyboard page, questions, and the command palette."""
+"""Dialogs: About page, keyboard page, import of a measured series, questions, and the command palette."""
 
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 from importlib.metadata import version
 from typing import NamedTuple
 
 from imgui_bundle import ImVec2, imgui
 
+from gsrain_engine.disdrometer.rain_rates import MeasuredKeyframes, keyframes_from_spectra
+from gsrain_engine.disdrometer.spectra import DisdrometerReading
 from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.edits.rain_keyframes import replace_keyframes
 from gsrain_engine.editor.files import Files
 from gsrain_engine.editor.news import News, read_news
 from gsrain_engine.editor.status import Answer, Question, StatusBus
@@ -18,6 +21,7 @@ from .commands.keys import chord_name, chords_of
 from .commands.table import COMMANDS
 from .folding import bring_to_front, panel_windows
 from .tools import TOOLS
+from .widgets.fields import LOGARITHMIC, button
 from .widgets.file_dialogs import SCENE_FOLDERS, ask_where_to_save
 from .widgets.type_ahead import is_menu_open
 
@@ -117,6 +121,55 @@ def _group(title: str, rows: list[tuple[str, str]]) -> None:
             imgui.table_next_column()
             imgui.text(effect)
         imgui.end_table()
+
+
+# Import of a measured series
+
+
+def series_page(editor: Editor) -> None:
+    """Draw how a disdrometer file that has been read becomes rain keyframes."""
+    document, calibration, options = editor.document, editor.calibration, editor.viewport.options
+    series = calibration.series
+    if series is None or editor.status.question is not None:
+        return
+    try:
+        measured = _keyframes_of(series.reading, series.speed_up, series.start_s)
+    except ValueError as error:
+        calibration.series = None
+        editor.status.report(f"{series.name}: {error}")
+        return
+    options.dialog = "series"
+    with _page(
+        editor.viewport, "series", "Import disdrometer series", ImVec2(_WIDTH_EM * imgui.get_font_size(), 0)
+    ) as is_open:
+        if is_open:
+            imgui.text_wrapped(series.name)
+            imgui.text_wrapped(
+                f"{measured.summary}. Maximum: {measured.weather.heaviest_mm_h(document.rain):.1f} mm/h."
+            )
+            imgui.set_next_item_width(5.5 * imgui.get_font_size())
+            _, series.speed_up = imgui.drag_float(
+                "Times faster", series.speed_up, 0.5, 1.0, 10_000.0, "%.0f", LOGARITHMIC
+            )
+            imgui.set_item_tooltip("Compresses time: at 60, a minute of the series takes a second of the scene.")
+            imgui.set_next_item_width(5.5 * imgui.get_font_size())
+            _, series.start_s = imgui.drag_float("Starts at (s)", series.start_s, 0.1, -1e6, 1e6, "%.1f")
+            imgui.set_item_tooltip("Time of the first record in the scene, in seconds.")
+            is_used = button("Use it", "Replace the present keyframes by the series.")
+            imgui.same_line()
+            if button("Cancel", "Do not change the keyframes.") or is_used:
+                options.dialog = ""
+                imgui.close_current_popup()
+            if is_used:
+                document.edit_keyframes(f"Series {series.name}", replace_keyframes, measured.weather)
+                editor.playback.show_all()
+    if options.dialog != "series":
+        calibration.series = None
+
+
+@lru_cache(maxsize=1)
+def _keyframes_of(reading: DisdrometerReading, speed_up: float, start_s: float) -> MeasuredKeyframes:
+    return keyframes_from_spectra(reading, speed_up=speed_up, start_s=start_s)
 
 
 # Questions of the editor

@@ -33,8 +33,8 @@ from PIL import Image
 from gsrain_engine.editor.preferences import Preferences, config_folder, load_preferences, state_folder
 from gsrain_engine.malloc_tuning import use_one_arena
 from gsrain_engine.render.opengl.context import DeviceLostError, check_context, context_monitor, monitor_context
+from gsrain_engine.safe_io.files import whole_file
 from gsrain_engine.safe_io.text_files import escape_invisible
-from gsrain_engine.scene.files import whole_file
 from gsrain_engine.simulation.rollout_io import ROLLOUT_SUFFIXES
 
 from .input_queue import InputQueue

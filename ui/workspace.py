@@ -14,7 +14,7 @@ from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.jobs.make_rainy import PREVIEW_PICTURES
 from gsrain_engine.render.opengl.context import DeviceLostError, is_software
 
-from .dialogs import CommandPalette, about_page, draw_questions, keyboard_page, news_page
+from .dialogs import CommandPalette, about_page, draw_questions, keyboard_page, news_page, series_page
 from .folding import FoldedPanels, panel_windows, show_panel
 from .panels.registry import all_panels
 from .parts import bind_parts
@@ -178,6 +178,7 @@ class Workspace:
         keyboard_page(editor.viewport)
         about_page(editor.viewport)
         news_page(editor.viewport)
+        series_page(editor)
         draw_questions(editor.viewport, editor.files, editor.status)
 
     def close(self) -> None:

@@ -17,8 +17,9 @@ from ..datasets.capture import Capture, CaptureError, CaptureFrame
 from ..datasets.capture_folder import read_capture_folder, write_cameras, write_view, write_world
 from ..datasets.image_override import find_images, flat_name, sized_image
 from ..datasets.io.images import read_color, read_labels
+from ..safe_io.file_names import shortened
+from ..safe_io.files import whole_folder
 from ..safe_io.text_files import json_values, printable_line, read_whole
-from ..scene.files import shortened, whole_folder
 from .base import ClearView, Plane, RainyView, SkippedCounts
 
 logger = logging.getLogger("gsrain")

@@ -19,8 +19,8 @@ import msgspec
 import numpy as np
 from PIL import Image
 
+from ..safe_io.errors import SceneFormatError
 from ..scene.camera import DEFAULT_EXPOSURE_S, Camera
-from ..scene.files import SceneFormatError
 from .capture import Capture, CaptureError, CaptureFrame, abbreviated_names, check_inside, omissions
 from .io.arrays import read_floats, read_json_object, read_json_rows
 from .io.images import CONVERT, image_size, images_in, read_color, read_labels, read_mask, unread_images_in

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64
 
+from ..safe_io.errors import SceneFormatError
 from ..scene.camera import Camera
-from ..scene.files import SceneFormatError
 from ..scene.geometry import matrices_from_quaternions, quaternions_from_matrices
 from ..scene.lens import Lens, largest_tangent
 from ..scene.scene import PoseTrack

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from jaxtyping import UInt8
 
-from ..scene.files import shortened
+from ..safe_io.file_names import shortened
 from .capture import Capture, CaptureError, CaptureFrame
 from .capture_folder import read_capture_folder, recognizes_capture_folder
 from .io.images import SUFFIXES, oriented_size, read_color

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ..plugins import CAPTURE_FORMATS, Extension, load_extensions, warn_once
 from ..safe_io.file_kinds import find_file_kind, kind_of_file
-from ..scene.files import visible_siblings
+from ..safe_io.file_names import visible_siblings
 from ..scene.formats.registry import format_of
 from .bags.containers import recognizes_bag
 from .bags.reader import read_bag

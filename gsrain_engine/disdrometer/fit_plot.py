@@ -15,8 +15,8 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from ..rain.calibration import Interval, atlas_velocity, load_calibration
 from ..rain.properties import LARGEST_MM, SMALLEST_MM, DropSizes
+from ..safe_io.files import whole_file
 from ..safe_io.text_files import figure_words
-from ..scene.files import whole_file
 from .fit_models import AxisRatios, FittedCalibration, FittedRow
 
 _SIZE_INCHES, _DPI = (13.0, 7.6), 150

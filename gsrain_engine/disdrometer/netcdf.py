@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float64, Shaped
 
-from ..scene.files import whole_file
+from ..safe_io.files import whole_file
 from .instruments import PARSIVEL, THIES, Instrument
 from .spectra import (
     MAX_COUNTS,

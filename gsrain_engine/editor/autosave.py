@@ -16,8 +16,9 @@ import numpy as np
 from msgspec import Meta
 
 from ..render.renderer import RenderMode
+from ..safe_io.errors import sentence_of
+from ..safe_io.files import FileLock, whole_file
 from ..safe_io.limits import read_file
-from ..scene.files import FileLock, sentence_of, whole_file
 from ..scene.formats.scene_folder import SCENE_FILE, FileCache, scene_folder_files, write_scene_folder
 from ..scene.scene import Scene
 from .preferences import state_folder

@@ -10,7 +10,7 @@ from ..scene.open import load_drawable_scene, load_sorted_scene
 from ..scene.progress import run_to_end
 from ..scene.scene import Scene
 from ..training.settings import TrainingSettings
-from .edits.floaters import FloaterRules, FloaterSearch, select_floaters
+from .edits.floaters import FloaterRules, search_floaters, select_floaters
 from .edits.layers import import_scene
 
 
@@ -21,10 +21,7 @@ def import_file(scene: Scene, path: str) -> Scene:
 
 def find_floaters(scene: Scene, rules: FloaterRules) -> Scene:
     """Select the Gaussians of background layers that are floaters by any of the rules."""
-    search = FloaterSearch(scene, rules)
-    for _ in search.run():
-        pass
-    return select_floaters(scene, search.found)
+    return select_floaters(scene, run_to_end(search_floaters(scene, rules)))
 
 
 def apply_wet_look(

@@ -13,12 +13,12 @@ import numpy as np
 from jaxtyping import Float64
 
 from ..render.view import RenderView
+from ..safe_io.errors import SceneFormatError
 from ..scene import camera_path_edit as edits
 from ..scene.camera import Camera
 from ..scene.camera_path import CameraPath, circle_path
 from ..scene.camera_path_io import read_camera_path, write_camera_path, write_nerfstudio_path, write_training_cameras
 from ..scene.easing import KeyEasing
-from ..scene.files import SceneFormatError
 from ..scene.geometry import matrices_from_quaternions, quaternions_from_matrices
 from ..scene.rig import rig_camera_path
 from ..scene.scene import RigCamera

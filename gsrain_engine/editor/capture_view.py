@@ -3,10 +3,9 @@
 import logging
 from collections import OrderedDict
 from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -15,7 +14,7 @@ from jaxtyping import Float32, Float64, UInt8
 from ..datasets.capture import Capture, CaptureFrame, OutsideError
 from ..datasets.undistort import undistort_frame
 from ..scene.scene import Scene, rotation_to_z_up
-from .jobs.job import ThreadTask, ThreadTasks
+from .background import Background, Task
 from .overlays import RecordedCameras, fov_to_fit_deg, frustum_length
 from .status import Answer, Question, StatusBus
 from .viewport.options import Texture
@@ -40,7 +39,7 @@ class PointSample:
 class CaptureController:
     """The open capture. Main thread only; call `poll` once a frame."""
 
-    def __init__(self, viewport: ViewportState, status: StatusBus) -> None:
+    def __init__(self, viewport: ViewportState, status: StatusBus, background: Background) -> None:
         self._viewport, self._document, self._status = viewport, viewport.document, status
         self.capture: Capture | None = None
         self.path: Path | None = None
@@ -63,11 +62,10 @@ class CaptureController:
         """Points as rendered for the current viewport."""
         self.viewport_px = (960, 640)
         """Size of the viewport at the last frame."""
-        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="capture")
+        self._background = background
         self.allows_outside = False
         """True if files outside of the capture's folder that its files refer to may be read."""
-        self._tasks = ThreadTasks(self._thread)
-        self._opening: ThreadTask[tuple[Capture, PointSample | None]] | None = None
+        self._opening: Task[tuple[Capture, PointSample | None]] | None = None
         self.in_scene_axes: bool | None = None
         """The user's choice if the capture has the scene's units and axes; None if not set."""
         self._cameras: tuple[Float64[np.ndarray, "4 4"], RecordedCameras] | None = None
@@ -94,9 +92,9 @@ class CaptureController:
                 self._status.report(str(error))
 
         if self._opening is not None:
-            self._opening.state = "cancelled"
-        self._opening = self._tasks.start(
-            lambda: read_capture(path, allow_outside), take, fail, message=f"Reading {path.name}"
+            self._opening.cancel()
+        self._opening = self._background.start(
+            lambda: read_capture(path, allow_outside), take, fail, message=f"Reading {path.name}", lane="capture"
         )
 
     def _ask_about_outside(self, path: Path, error: OutsideError) -> None:
@@ -116,28 +114,19 @@ class CaptureController:
         return None if self._opening is None else self._opening.progress.message
 
     @property
-    def pending(self) -> list[Future[Any]]:
-        """Reads in progress, to wait for where there are no frames."""
-        return [*self._tasks.futures, *(self.pictures.pending if self.pictures is not None else [])]
-
-    @property
     def is_working(self) -> bool:
         """True while something is being read, so that frames must be drawn."""
         return self.busy is not None or (self.pictures is not None and self.pictures.is_reading)
 
     def poll(self) -> None:
-        self._tasks.poll()
         if self.pictures is not None:
             self.pictures.poll()
-
-    def close(self) -> None:
-        self._thread.shutdown(cancel_futures=True)
 
     def display(self, path: Path, capture: Capture, points: PointSample | None) -> None:
         """Open a capture that was read from a path."""
         self.close_capture()
         self.capture, self.path, self.points = capture, path, points
-        self.pictures = CaptureImageLoader(capture, self._thread)
+        self.pictures = CaptureImageLoader(capture, self._background)
         self.frustum_m = frustum_length(capture)
         self._status.dismiss()
         logger.info("Opened capture %s: %d view%s", capture.name, len(capture), "s"[: len(capture) != 1])
@@ -294,9 +283,10 @@ class ImageRequest(NamedTuple):
 class CaptureImageLoader:
     """Loads images in a background thread and caches them. Main thread only; call `poll` once a frame."""
 
-    def __init__(self, capture: Capture, thread: ThreadPoolExecutor) -> None:
+    def __init__(self, capture: Capture, background: Background) -> None:
         self.faults: dict[int, str] = {}
-        self._capture, self._tasks = capture, ThreadTasks(thread)
+        self._capture, self._background = capture, background
+        self._reading: Task[Pixels] | None = None
         self._images: OrderedDict[ImageRequest, Pixels] = OrderedDict()
         self._requests: dict[ImageRequest, None] = {}
 
@@ -314,32 +304,28 @@ class CaptureImageLoader:
         return iter(self._images.items())
 
     @property
-    def pending(self) -> list[Future[Any]]:
-        return self._tasks.futures
-
-    @property
     def is_reading(self) -> bool:
         """True while a requested image is not loaded yet."""
-        return bool(self._tasks.running or self._requests)
+        return self._reading is not None or bool(self._requests)
 
     def poll(self) -> None:
-        """Store the image that was read, and start to read one that the last frame requested."""
-        self._tasks.poll()
+        """Start to read an image that the last frame requested."""
         requests = [each for each in self._requests if each not in self._images and each.view not in self.faults]
         self._requests.clear()
-        if requests and not self._tasks.running:
+        if requests and self._reading is None:
             self._read(max(requests, key=lambda each: each.width_px))  # the selected image before the thumbnails
 
     def _read(self, request: ImageRequest) -> None:
         view = self._capture[request.view]
 
         def take(pixels: Pixels) -> None:
-            self._images[request] = pixels
+            self._reading, self._images[request] = None, pixels
             same = [each for each in self._images if each.width_px == request.width_px]
             for old in same[: -_CACHE_LIMITS[request.width_px]]:
                 del self._images[old]
 
         def fail(error: Exception) -> None:
-            self.faults[request.view] = str(error)
+            self._reading, self.faults[request.view] = None, str(error)
 
-        self._tasks.start(lambda: undistort_frame(view, min(request.width_px, view.camera.width)).image, take, fail)
+        width = min(request.width_px, view.camera.width)
+        self._reading = self._background.start(lambda: undistort_frame(view, width).image, take, fail, lane="capture")

@@ -3,11 +3,9 @@
 import logging
 import operator
 from collections.abc import Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -28,9 +26,10 @@ from ..simulation.scenario_io import load_scenario, save_scenario, scenario_name
 from ..simulation.sensors import needed_cameras
 from ..simulation.traffic.appearance import scale_gaussians, vehicle_model
 from .autosave import saved_scene
+from .background import Background, Task
 from .files import Files
 from .jobs.drive import DriveSettings, LoadedRollout, load_rollout, rollout_video_job, simulation_job
-from .jobs.job import JobRunner, ThreadTask, ThreadTasks
+from .jobs.job import JobRunner
 from .status import StatusBus, describe_error
 from .viewport.camera_follow import ChaseMode, VehicleMoment
 from .viewport.options import Texture
@@ -45,9 +44,8 @@ class RolloutPlayer:
     """The drives of one window: start, read, write and play roll-outs. Main thread only; call `poll` once a frame."""
 
     def __init__(
-        self, viewport: ViewportState, jobs: JobRunner, files: Files, status: StatusBus, thread: ThreadPoolExecutor
+        self, viewport: ViewportState, jobs: JobRunner, files: Files, status: StatusBus, background: Background
     ) -> None:
-        """Use `thread` for reading and writing."""
         self._viewport, self._document, self._playback = viewport, viewport.document, viewport.playback
         self._jobs, self._files, self._status = jobs, files, status
         self.setup = DriveSetup()
@@ -64,8 +62,8 @@ class RolloutPlayer:
         self._rainfall: RainSimulation | None = None
         self._scene_span: tuple[float, float] | None = None
         """The user's start and end of playback, while a roll-out plays."""
-        self._tasks = ThreadTasks(thread)
-        self._placing: ThreadTask[RolloutInScene] | None = None
+        self._background = background
+        self._placing: Task[RolloutInScene] | None = None
 
     # Driving
 
@@ -103,7 +101,7 @@ class RolloutPlayer:
     def open(self, path: Path) -> None:
         """Read a roll-out in the background and play it."""
         fail = partial(self._status.report, what=f"{path.name} can't be opened")
-        self._tasks.start(lambda: [load_rollout(path)], self._open, fail)
+        self._background.start(lambda: [load_rollout(path)], self._open, fail, lane="drives")
 
     def _open(self, found: list[LoadedRollout], *, plays: bool = True) -> None:
         opened = [*self.opened, *found]
@@ -129,7 +127,7 @@ class RolloutPlayer:
 
         def write() -> None:
             fail = partial(self._status.report, what=f"{path} can't be written")
-            self._tasks.start(lambda: write_rollout(path, playing.rollout), take, fail)
+            self._background.start(lambda: write_rollout(path, playing.rollout), take, fail, lane="drives")
 
         self._status.ask_before_replacing([path], write)
 
@@ -166,16 +164,10 @@ class RolloutPlayer:
     @property
     def is_working(self) -> bool:
         """True while a roll-out is being read, written or placed."""
-        return bool(self._tasks.running)
-
-    @property
-    def pending(self) -> list[Future[Any]]:
-        """Reads and writes in progress, to wait for where there are no frames."""
-        return self._tasks.futures
+        return self._background.is_working("drives")
 
     def poll(self) -> None:
-        """Process finished reads and writes, and move the chase camera; never blocks."""
-        self._tasks.poll()
+        """Move the chase camera."""
         shown = self.placed_in(self._document.scene)
         if shown is not None:
             self._viewport.chase.ride(shown.vehicle(self._playback.clock.time_s), self._viewport.navigation)
@@ -190,10 +182,11 @@ class RolloutPlayer:
         if self._placing is not None:
             self._placing.cancel()
         scene = self._document.scene
-        self._placing = self._tasks.start(
+        self._placing = self._background.start(
             lambda: RolloutInScene(opened.rollout, scene),
             lambda shown: self._begin(opened, shown),
             lambda error: self._begin(opened, error),
+            lane="drives",
         )
 
     def _begin(self, opened: LoadedRollout, shown: "RolloutInScene | Exception") -> None:

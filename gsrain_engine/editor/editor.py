@@ -1,9 +1,7 @@
 """The editor without a window: its parts, opening and closing, and the frames that a live view draws of it."""
 
 from collections.abc import Hashable
-from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
 
 import platformdirs
 
@@ -14,6 +12,7 @@ from ..rain.settings import RainSettings, load_preset
 from ..scene.gaussians import IdentityKey, forget_scenes
 from ..scene.scene import Scene
 from .autosave import restore_view
+from .background import Background
 from .camera_path import CameraPathEditor
 from .capture_view import CaptureController
 from .clock import PlaybackClock
@@ -32,7 +31,7 @@ from .make_rainy import WetLookController
 from .matching import MatchingController
 from .night import NightLook
 from .preferences import PreferencesStore
-from .rain import CalibrationTools, KeyframePanelState
+from .rain import CalibrationTools
 from .rain_tracks import RainTracks
 from .recorder import RenderQueue
 from .scene_setup import SceneSetup
@@ -51,32 +50,31 @@ class Editor:
 
     def __init__(self, scene: Scene | None = None, rain: RainSettings | None = None) -> None:
         """Start with a scene, or with an empty one; without `rain` it is dry."""
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix="files")
-        self._freed_memory = MemoryTrimmer(self._thread)
+        self.background = background = Background()
+        self._freed_memory = MemoryTrimmer(background.submit)
         self._is_closed = False
         self.should_quit = False
         """True if the program is to end now: the user has quit and decided about unsaved changes."""
         clock, scene = PlaybackClock(), scene or Scene("no scene")
         state = DocumentState(scene, rain or rain_around(scene, load_preset("clear")))
         self.status = StatusBus()
-        self.preferences = PreferencesStore(self._thread, self.status)
+        self.preferences = PreferencesStore(background, self.status)
         self.document = Document(state, clock, self.status)
         self.playback = Playback(self.document, clock)
-        self.viewport = ViewportState(self.document, self.playback)
+        self.viewport = ViewportState(self.document, self.playback, background)
         self.selection = SelectionTool(self.document, self.playback)
         self.camera_path = CameraPathEditor(self.document, self.viewport, self.playback, self.status)
-        self.keyframe_panel = KeyframePanelState()
         self.rain_tracks = RainTracks(self.document, self.playback)
-        self.captures = CaptureController(self.viewport, self.status)
-        self.matching = MatchingController(self.viewport, self.captures)
-        self.jobs = JobRunner(self._thread, self.status.report, lambda: self.viewport.staged is None)
+        self.captures = CaptureController(self.viewport, self.status, background)
+        self.matching = MatchingController(self.viewport, self.captures, background)
+        self.jobs = JobRunner(background, self.status.report, lambda: self.viewport.staged is None)
         self.calibration = CalibrationTools(self.document, self.jobs, self.status)
         self.files = Files(
-            self.viewport, self.jobs, self.captures, self.preferences, self.status, self._thread, self._enter
+            self.viewport, self.jobs, self.captures, self.preferences, self.status, background, self._enter
         )
-        self.rollouts = RolloutPlayer(self.viewport, self.jobs, self.files, self.status, self._thread)
+        self.rollouts = RolloutPlayer(self.viewport, self.jobs, self.files, self.status, background)
         self.files.loose_results = lambda: self.rollouts.unsaved_titles
-        self.live_rain = LiveRain(self.document, self.viewport, self.rollouts, self._thread)
+        self.live_rain = LiveRain(self.document, self.viewport, self.rollouts, background)
         self.training = TrainingController(self.viewport, self.captures, self.jobs, self.files)
         self.scene_setup = SceneSetup(self.document, self.viewport)
         self.floaters = FloaterFinder(self.document, self.jobs)
@@ -134,10 +132,7 @@ class Editor:
         self.files.close()
         self.render_queue.poll()
         self.preferences.close()
-        self._thread.shutdown()
-        self.viewport.obstacles.close()
-        self.captures.close()
-        self.matching.close()
+        self.background.close()
         self.status.close()
 
     # Background work
@@ -164,11 +159,6 @@ class Editor:
         return f"Preparing the renderer, at the first start of a version only{so_far}"
 
     @property
-    def pending_files(self) -> list[Future[Any]]:
-        """Reading, writing and finding roofs in progress, to wait for where there are no frames."""
-        return [*self.files.pending, *self.live_rain.pending]
-
-    @property
     def is_working(self) -> bool:
         """True if background work needs frames to be processed."""
         return bool(self.jobs.pending) or self.is_bringing_in
@@ -187,8 +177,8 @@ class Editor:
         viewport.drawn_preview, viewport.preview = viewport.preview, None
         viewport.following.ride(self.rollouts.displayed_scene, self.playback.clock.time_s, viewport.navigation)
         for part in (
-            self.files, self.render_queue, self.preferences, self.live_rain, self.captures, self.matching,
-            self.rollouts, self.jobs, self.wet_look,
+            self.background, self.files.recovery, self.render_queue, self.preferences, self.live_rain, self.captures,
+            self.matching, self.rollouts, self.jobs, self.wet_look,
         ):  # fmt: skip
             part.poll()
         if viewport.staged is None and not self.rollouts.is_working:  # otherwise a result is still being swapped in

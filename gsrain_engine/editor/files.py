@@ -3,7 +3,6 @@
 import logging
 import re
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import partial
@@ -15,20 +14,22 @@ import msgspec
 
 from ..datasets.open_capture import capture_format
 from ..rain.settings import load_preset
+from ..safe_io.errors import SceneFormatError
+from ..safe_io.files import lock_path, whole_file
 from ..safe_io.limits import read_file
 from ..safe_io.text_files import MAX_BYTES, printable_line
-from ..scene.files import SceneFormatError, lock_path, whole_file
 from ..scene.formats.registry import format_of, lost_in_file, writable_suffixes
 from ..scene.formats.scene_files import names_scene_folder, write_scene
 from ..scene.formats.scene_folder import SCENE_FILE, FileCache
 from ..scene.open import folder_to_read, is_built_in_street, load_drawable_scene, scene_folder_of
 from ..scene.scene import Scene
 from .autosave import Autosave, FileFingerprint, RecoveryCandidate, fingerprint_of, has_changed, saved_scene
+from .background import Background, Task
 from .background_edits import import_file
 from .capture_view import CaptureController
 from .document import DocumentState, Recipe, rain_around
 from .edits.layers import import_scene
-from .jobs.job import JobRunner, ThreadTask, ThreadTasks
+from .jobs.job import JobRunner
 from .preferences import PreferencesStore, state_folder
 from .status import Answer, DeferredAction, Question, StatusBus, describe_error, do_nothing
 from .viewport_state import PendingScene, ViewportState
@@ -66,7 +67,7 @@ class NotASceneError(SceneFormatError):
 
 
 class Files:
-    """The files of one document. Reading and writing runs in `thread`, everything else on the main thread."""
+    """The files of one document. Reading and writing runs in `background`, everything else on the main thread."""
 
     def __init__(
         self,
@@ -75,7 +76,7 @@ class Files:
         captures: CaptureController,
         preferences: PreferencesStore,
         status: StatusBus,
-        thread: ThreadPoolExecutor,
+        background: Background,
         enter: Callable[[LoadedDocument], None],
     ) -> None:
         """`enter` switches to another document."""
@@ -95,17 +96,13 @@ class Files:
         """Map of files to the Gaussians they hold; for the thread that reads and writes."""
         self.saved: DocumentState = self._document.state
         """Document as on disk."""
-        self.recovery = Recovery(viewport, self, preferences, status, thread)
+        self.recovery = Recovery(viewport, self, preferences, status, background)
         self.deferred = DeferredAction(status)
         """Action that waits until jobs and files have ended."""
-        self._work, self._other = ThreadTasks(thread), ThreadTasks(thread)
-        """Imports, saves and exports, which the user may wait for; and the rest."""
-        self._reading = ThreadPoolExecutor(2, thread_name_prefix="opening")
-        self._openings = ThreadTasks(self._reading)
-        """Opening does not wait for one that it supersedes, which can't be stopped."""
-        self._opening: ThreadTask[LoadedDocument] | None = None
+        self._background = background
+        self._opening: Task[LoadedDocument] | None = None
         self._arriving: LoadedDocument | None = None
-        self._saving: ThreadTask[FileFingerprint | None] | None = None
+        self._saving: Task[FileFingerprint | None] | None = None
         self._next_saving: Callable[[], None] | None = None
 
     # State
@@ -138,25 +135,13 @@ class Files:
     @property
     def busy(self) -> str | None:
         """Description of the read or write that the user waits for, or None."""
-        tasks = [*([] if self._opening is None else [self._opening]), *self._work.running]
+        tasks = [*([] if self._opening is None else [self._opening]), *self._background.titled]
         return tasks[0].progress.message if tasks else None
 
-    @property
-    def pending(self) -> list[Future[Any]]:
-        return [*self._openings.futures, *self._other.futures, *self._work.futures, *self.recovery.pending]
-
-    def poll(self) -> None:
-        """Process finished reads and writes. Once a frame."""
-        self._openings.poll()
-        self._other.poll()
-        self._work.poll()
-        self.recovery.poll()
-
     def close(self) -> None:
-        """Finish pending writes. Removes the autosave, unless there are unsaved changes."""
+        """Remove the autosave, unless there are unsaved changes."""
         if self._opening is not None:
             self._opening.cancel()
-        self._reading.shutdown(wait=False, cancel_futures=True)
         self.recovery.close(is_saved=not self.has_changes)
 
     # Opening
@@ -196,7 +181,7 @@ class Files:
             if Path(label) in self.recent and not Path(label).exists():
                 self._update_recent(Path(label), add=False)
 
-        self._opening = self._openings.start(read, stage, fail, message=f"Opening {label}")
+        self._opening = self._background.start(read, stage, fail, message=f"Opening {label}", lane="opening")
         self._viewport.is_reading = True
 
     def _ask_about_capture(self, error: NotASceneError) -> None:
@@ -271,7 +256,7 @@ class Files:
 
     def _when_idle(self, what: str, act: Callable[[], None], *, ends_program: bool = False) -> None:
         jobs = [each for each in self._jobs.pending if ends_program or each.ends_with_scene]
-        self.deferred.when_idle(jobs, self._work.running, what, act)
+        self.deferred.when_idle(jobs, self._background.titled, what, act)
 
     def _reread(self, source: str) -> None:
         self._when_idle("revert", lambda: self.open_now(source))
@@ -382,7 +367,7 @@ class Files:
             self._status.report(error, f"{target} can't be saved")
 
         self._status.dismiss()
-        self._saving = self._work.start(write, take, fail, f"Save {path.name}", f"Saving {target}")
+        self._saving = self._background.start(write, take, fail, f"Save {path.name}", f"Saving {target}")
 
     def export_to(self, path: Path) -> None:
         """Write a single file of everything visible, a copy: the document keeps its path and its unsaved changes.
@@ -434,13 +419,13 @@ class Files:
     ) -> None:
         """Read or write in the background; an error is reported, after `trouble`."""
         self._status.dismiss()
-        self._work.start(work, take, partial(self._status.report, what=trouble), title, message)
+        self._background.start(work, take, partial(self._status.report, what=trouble), title, message)
 
     def _update_recent(self, path: Path, *, add: bool = True) -> None:
         def take(paths: list[Path]) -> None:
             self.recent = paths
 
-        self._other.start(lambda: update_recent_files(path, add=add), take, lambda _: None)
+        self._background.start(lambda: update_recent_files(path, add=add), take, lambda _: None)
 
 
 def load_document(path: str) -> LoadedDocument:
@@ -515,7 +500,7 @@ def _recent_file() -> Path:
 
 
 class Recovery:
-    """The autosave of a session: written in `thread`, everything else on the main thread."""
+    """The autosave of a session: written in `background`, everything else on the main thread."""
 
     def __init__(
         self,
@@ -523,33 +508,28 @@ class Recovery:
         files: Files,
         preferences: PreferencesStore,
         status: StatusBus,
-        thread: ThreadPoolExecutor,
+        background: Background,
     ) -> None:
         self.now: Callable[[], float] = monotonic
         """Clock in seconds."""
         self._viewport, self._files, self._preferences = viewport, files, preferences
-        self._status, self._thread = status, thread
+        self._status, self._background = status, background
         self._autosave = Autosave()
         self._home: Path | None = None
         self._autosaved: DocumentState = viewport.document.state
         """Document of the last autosave."""
         self._changed_at: float | None = None
-        self._tasks = ThreadTasks(thread)
-        self._entering: ThreadTask[tuple[bool, RecoveryCandidate | None]] | None = None
-        self._writing: ThreadTask[None] | None = None
+        self._entering: Task[tuple[bool, RecoveryCandidate | None]] | None = None
+        self._writing: Task[None] | None = None
         self._has_failed = False
         self._put_off: set[Path] = set()
-
-    @property
-    def pending(self) -> list[Future[Any]]:
-        return self._tasks.futures
 
     def enter(self, home: Path | None, document: DocumentState, recovered: Path | None = None) -> None:
         """Switch to a document from a scene folder, or just saved to it; `recovered` is the path of its autosave."""
         self._home, self._autosaved, self._changed_at = home, document, None
         if self._entering is not None:
             self._entering.state = "cancelled"
-        self._entering = self._tasks.start(
+        self._entering = self._background.start(
             lambda: self._autosave.enter(home, recovered), self._take_entered,
             lambda error: describe_error("The autosave has no place", error),
         )  # fmt: skip
@@ -557,16 +537,15 @@ class Recovery:
     def forget(self) -> None:
         """Remove the autosave after the document was saved."""
         self._autosaved, self._changed_at = self._files.saved, None
-        self._thread.submit(self._autosave.remove)
+        self._background.submit(self._autosave.remove)
 
     def look(self) -> None:
         """Look for autosaves of dead processes, of recent and of unsaved scenes, and offer to recover them."""
         homes = tuple(self._files.recent)
-        self._tasks.start(lambda: self._autosave.abandoned(homes), self._offer, lambda _: None)
+        self._background.start(lambda: self._autosave.abandoned(homes), self._offer, lambda _: None)
 
     def poll(self) -> None:
-        """Process finished tasks, and write an autosave some time after a change. Once a frame."""
-        self._tasks.poll()
+        """Write an autosave some time after a change. Once a frame."""
         if not self._is_due or self._viewport.is_opening:
             self._changed_at = None
             return
@@ -604,8 +583,8 @@ class Recovery:
     def close(self, *, is_saved: bool) -> None:
         """Close; the autosave of an unsaved document stays for the next start."""
         if is_saved:
-            self._thread.submit(self._autosave.remove)
-        self._thread.submit(self._autosave.close)
+            self._background.submit(self._autosave.remove)
+        self._background.submit(self._autosave.close)
 
     @property
     def _is_due(self) -> bool:
@@ -625,7 +604,7 @@ class Recovery:
                 self._status.report(error, "The autosave can't be written")
             self._has_failed = True
 
-        self._writing = self._tasks.start(lambda: self._autosave.write(scene, home, stamp, known), take, fail)
+        self._writing = self._background.start(lambda: self._autosave.write(scene, home, stamp, known), take, fail)
 
     def _take_entered(self, entered: tuple[bool, RecoveryCandidate | None]) -> None:
         is_alone, found = entered
@@ -649,7 +628,7 @@ class Recovery:
         self._put_off.add(first.place)
 
         def drop() -> None:
-            self._thread.submit(self._autosave.discard, first.place)
+            self._background.submit(self._autosave.discard, first.place)
             self._offer(others)
 
         when, about, home = datetime.fromtimestamp(first.saved_at), first.about, first.about.folder

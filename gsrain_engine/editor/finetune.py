@@ -1,16 +1,29 @@
-"""Setup of the transfer's fine-tuning in the window: settings, images, output folder, and job."""
+"""Fine-tuning of the transfer: setup in the window, job, and worker, with LPIPS if weights are available."""
 
+from collections.abc import Generator
 from pathlib import Path
 from typing import Annotated, Any
 
 from msgspec import Meta
 
-from ..appearance.finetune.settings import FinetuneTask, code_of, load_finetuning
+from ..appearance.cyclegan_turbo.weight_paths import find_whole_base_model
+from ..appearance.finetune.settings import (
+    FinetuneResult,
+    FinetuneTask,
+    FinetuningSettings,
+    code_of,
+    find_clip,
+    load_finetuning,
+)
+from ..appearance.normals import ESTIMATORS, missing_estimator_files
+from ..evaluation.lpips_weights import find_lpips_weights
+from ..safe_io.errors import MissingInputsError, not_found
 from ..safe_io.text_files import printable_line
+from ..scene.progress import Progress
 from ..settings import Settings
-from ..trusted_code import UntrustedCodeError, trust_permanently
+from ..trusted_code import UntrustedCodeError, expect_trusted, trust_permanently
 from .jobs.job import Job, JobRunner
-from .jobs.training import HOW_TO_GET_DIFFUSION, finetune_job, has_torch
+from .jobs.training import HOW_TO_GET_DIFFUSION, has_torch, require_torch
 from .status import Answer, Question, StatusBus
 
 
@@ -99,3 +112,68 @@ class FinetuneController:
         no = Answer("Don't run it", help="Nothing is begun.")
         yes = Answer("Run it", run, "Runs it now, and does not ask again for these very contents.")
         self._status.ask(Question("Run Python code?", text, (no, yes, Answer("Cancel"))))
+
+
+# Job "Train transfer"
+
+_LOSS_PLOTS = {
+    "Cycle": ("cycle_clear", "cycle_rainy", "identity_clear", "identity_rainy"),
+    "Discriminators": ("gan_rainy", "gan_clear", "judge_rainy_made", "judge_rainy_real"),
+}
+"""Losses by plot: those to minimize, and the adversarial ones."""
+
+
+def finetune_job(task: FinetuneTask) -> Job[Path]:
+    """Create a job whose result is the file of the weights. After cancelling, a job can resume from its folder."""
+    return Job(
+        "fine-tune", "Train transfer", train_transfer, lambda _: task.weights, lambda _: (task,),
+        ends_with_scene=False, output=task.output, progress=Progress(0.0, "Starting"), plots=_LOSS_PLOTS,
+    )  # fmt: skip
+
+
+def missing_for_finetuning(settings: FinetuningSettings) -> list[str]:
+    """Name every file and folder that a fine-tuning lacks, with how to get it; a line each.
+
+    LPIPS counts only with others: without its weights a fine-tuning goes on, with a warning.
+    """
+    pictures, missing = settings.pictures, list[str]()
+    for look, sources in (("clear", pictures.clear), ("rainy", pictures.rainy)):
+        paths = [each.path for each in sources if not Path(each.path).exists()]
+        missing += [f"{path}: no such file or folder; --{look} PATH names {look} pictures" for path in paths]
+    missing += [
+        f"--{name} {path}: no such file or folder"
+        for name, path in (("start", settings.start), ("lpips", settings.lpips))
+        if path is not None and not Path(path).exists()
+    ]
+    if pictures.guide != "none" and pictures.normals in ESTIMATORS:
+        missing += missing_estimator_files(pictures.normals, pictures.normals_weights, pictures.normals_checkout)
+    is_tiny, base, clip = settings.architecture == "tiny", settings.base, settings.clip
+    if not is_tiny:
+        missing += not_found(find_whole_base_model, None if base is None else Path(base))
+    if not is_tiny or clip is not None:
+        missing += not_found(find_clip, None if clip is None else Path(clip))
+    if missing and settings.lpips is None and _uses_lpips(settings):
+        missing += not_found(find_lpips_weights, "vgg")
+    return missing
+
+
+def _uses_lpips(settings: FinetuningSettings) -> bool:
+    return bool(settings.losses.cycle_lpips or settings.losses.identity_lpips)
+
+
+def train_transfer(task: FinetuneTask) -> Generator[Progress, None, FinetuneResult]:
+    """Fine-tune.
+
+    Yields and raises as `finetune` does, ValueError if torch is missing, and `MissingInputsError` for missing files.
+    """
+    require_torch("training the transfer", HOW_TO_GET_DIFFUSION)
+    expect_trusted(task.code)
+    if missing := missing_for_finetuning(task.settings):
+        raise MissingInputsError(missing)
+    from ..appearance.finetune.run import chosen_device, finetune
+    from ..evaluation.lpips import lpips_loss
+
+    settings = task.settings
+    file = None if settings.lpips is None else Path(settings.lpips)
+    lpips = lpips_loss(file, chosen_device(settings.device)) if _uses_lpips(settings) else None
+    return (yield from finetune(task, lpips))

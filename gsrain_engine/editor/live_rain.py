@@ -1,7 +1,7 @@
 """The rain that the viewport displays: the simulation of the document's rain, its shelter map, and the sky color."""
 
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 
 import msgspec
 
@@ -12,8 +12,10 @@ from ..rain.shelter_map import ShelterMap, shelter_map_of
 from ..rain.simulation import OVERCAST, RainSimulation
 from ..render.sky_color import SkyColor
 from ..scene.scene import Scene
+from .background import Background, Task
 from .document import Document, DocumentState
 from .drive import RolloutPlayer
+from .status import describe_error
 from .viewport_state import ViewportState
 
 
@@ -21,18 +23,16 @@ class LiveRain:
     """Rain of the viewport. Follows the document; call `poll` once a frame."""
 
     def __init__(
-        self, document: Document, viewport: ViewportState, rollouts: RolloutPlayer, thread: ThreadPoolExecutor
+        self, document: Document, viewport: ViewportState, rollouts: RolloutPlayer, background: Background
     ) -> None:
-        """`thread` searches for roofs."""
         self._document, self._viewport, self._rollouts = document, viewport, rollouts
         self.simulation = RainSimulation.start(document.rain, weather=document.keyframes)
         """The document's rain."""
         self._other = self.simulation
-        self._thread = thread
+        self._background = background
         self._searched: Scene | None = None
         """Scene of the last search for roofs."""
-        self.pending: list[Future[ShelterMap | None]] = []
-        """The last search for roofs, to wait for where there are no frames."""
+        self._search: Task[ShelterMap | None] | None = None
         self.sky_color = SkyColor(OVERCAST, found=False)
         """Sky of the scene: one that was found stays until another is found."""
         self.sky_is_stale = True
@@ -96,13 +96,18 @@ class LiveRain:
     def _has_shelter_map(self) -> bool:
         """True if the roofs of the scene are found: `shelter_map_of` caches the results of searches."""
         is_same = self._searched is not None and self._searched.geometry_key == self._document.scene.geometry_key
-        return is_same and all(each.done() for each in self.pending)
+        return is_same and not self._is_searching
 
     def poll(self) -> None:
         """Search for roofs, one scene after another."""
-        if self.is_searching_roofs and all(each.done() for each in self.pending):
-            self._searched = self._document.scene
-            self.pending = [self._thread.submit(shelter_map_of, self._searched)]
+        if self.is_searching_roofs and not self._is_searching:
+            self._searched = scene = self._document.scene
+            fail = partial(describe_error, "The roofs can't be found")
+            self._search = self._background.start(lambda: shelter_map_of(scene), lambda _: None, fail)
+
+    @property
+    def _is_searching(self) -> bool:
+        return self._search is not None and not self._search.future.done()
 
     def _follow(self, old: DocumentState, new: DocumentState) -> None:
         self.sky_is_stale = self.sky_is_stale or old.scene.geometry_key != new.scene.geometry_key

@@ -5,7 +5,6 @@ Not part of the document.
 
 import logging
 from collections.abc import Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
@@ -15,10 +14,11 @@ from jaxtyping import Float32, Int64, UInt8
 from ..appearance.base import ClearView
 from ..appearance.correspondence import COLORS, Correspondence, MatchOutcome, correspondence, warped
 from ..appearance.scene_views import PlacedCamera, scene_view, scene_views
-from ..datasets.capture import Capture, CaptureError
+from ..datasets.capture import Capture
 from ..datasets.undistort import undistort_frame
 from ..scene.camera import Camera
 from ..scene.scene import Scene
+from .background import Background
 from .capture_view import CaptureController
 from .viewport.options import Mode, Texture
 from .viewport_state import ViewportState
@@ -53,7 +53,7 @@ class MatchResult(NamedTuple):
 class MatchingController:
     """Matches the current view with another view of the capture. Main thread only."""
 
-    def __init__(self, viewport: ViewportState, captures: CaptureController) -> None:
+    def __init__(self, viewport: ViewportState, captures: CaptureController, background: Background) -> None:
         self._viewport, self._captures = viewport, captures
         self.is_on = False
         self.against: Against = "next"
@@ -66,8 +66,7 @@ class MatchingController:
         """Reason why nothing is displayed, in a sentence."""
         self.texture: Texture | None = None
         """Overlay on the GPU, with its own alpha."""
-        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="matching")
-        self._working: tuple[_MatchRequest, Future[MatchResult]] | None = None
+        self._background = background
         self._last: _MatchRequest | None = None
         self._failed: tuple[_MatchRequest, str] | None = None
         self._views: MatchableViews | None = None
@@ -75,12 +74,8 @@ class MatchingController:
 
     @property
     def is_working(self) -> bool:
-        return self._working is not None or (self._last is not None and self.shown is None and self.why_none is None)
-
-    @property
-    def pending(self) -> list[Future[MatchResult]]:
-        """The match in progress, to wait for where there are no frames."""
-        return [] if self._working is None else [self._working[1]]
+        is_due = self._last is not None and self.shown is None and self.why_none is None
+        return is_due or self._background.is_working("matching")
 
     @property
     def picture(self) -> UInt8[np.ndarray, "h w 4"] | None:
@@ -92,14 +87,7 @@ class MatchingController:
         return self._image[2]
 
     def poll(self) -> None:
-        """Process finished matches, and start one for the current view. Once a frame."""
-        if self._working is not None and self._working[1].done():
-            (request, work), self._working = self._working, None
-            try:
-                self.shown, self._failed = work.result(), None
-            except (CaptureError, OSError, ValueError, MemoryError) as error:
-                self._failed = request, str(error)
-                logger.warning("Matching: %s", error)
+        """Start a match for the current view. Once a frame."""
         request = self._request() if self.is_on else ""
         if isinstance(request, str):
             self.shown, self.why_none, self._last, self._failed = None, request or None, None, None
@@ -109,11 +97,9 @@ class MatchingController:
         if self.shown is not None and self.shown.request != request:
             self.shown = None
         is_still, self._last = request == self._last, request
-        if is_still and self.shown is None and self._working is None and self.why_none is None:
+        is_free = not self._background.is_working("matching")
+        if is_still and self.shown is None and is_free and self.why_none is None:
             self._begin(request)
-
-    def close(self) -> None:
-        self._thread.shutdown(cancel_futures=True)
 
     def _request(self) -> _MatchRequest | str:
         """Request for the current view, or the reason why it can't be matched."""
@@ -136,7 +122,15 @@ class MatchingController:
             camera, of = shot.camera, PlacedCamera("the view", shot.camera, shot.time_s)
         else:
             camera, of = self._captures.cameras(self._viewport.document.scene)[request.of], request.of
-        self._working = request, self._thread.submit(self._match, request, camera, of)
+
+        def take(result: MatchResult) -> None:
+            self.shown, self._failed = result, None
+
+        def fail(error: Exception) -> None:
+            self._failed = request, str(error)
+            logger.warning("Matching: %s", error)
+
+        self._background.start(lambda: self._match(request, camera, of), take, fail, lane="matching")
 
     def _match(self, request: _MatchRequest, camera: Camera, of: int | PlacedCamera) -> MatchResult:
         """Compute a match; in the thread, one after another."""

@@ -1,6 +1,6 @@
 """The night look of the open scene, as a job whose end is one undo step."""
 
-from collections.abc import Iterator
+from collections.abc import Generator
 from dataclasses import replace
 from typing import TypeVar
 
@@ -9,7 +9,7 @@ from ..scene.scene import Actor, Layer, Scene
 from .background_edits import relight_by_night
 from .document import Document, Recipe
 from .edits.members import replace_scene
-from .jobs.job import Job, JobRunner, no_result
+from .jobs.job import Job, JobRunner
 
 NIGHT_TITLE = "Relight for night"
 Member = TypeVar("Member", Layer, Actor)
@@ -26,24 +26,24 @@ class NightLook:
         """True if there is a scene, and no such job."""
         return self._document.scene.gaussian_count > 0 and not self._jobs.is_running("night")
 
-    def relight(self) -> Job[None]:
+    def relight(self) -> Job[Scene]:
         """Start to relight the scene in a thread; the result is dropped if its geometry or lamps change meanwhile."""
-        scene, made = self._document.scene, list[Scene]()
+        scene = self._document.scene
 
-        def work() -> Iterator[Progress]:
+        def work() -> Generator[Progress, None, Scene]:
             from ..appearance.night_look.night_gaussians import night_scene  # loads slow parts of scipy
 
-            made.append((yield from night_scene(scene)))
+            return (yield from night_scene(scene))
 
-        def take(_: None, __: bool) -> str:
-            relit = _with_light_of(made[0], scene, self._document.scene)
+        def take(made: Scene, _: bool) -> str:
+            relit = _with_light_of(made, scene, self._document.scene)
             if relit is None:
                 return "The scene has changed meanwhile: relight it again"
             self._document.edit(NIGHT_TITLE, replace_scene, relit, recipe=Recipe(relight_by_night, {}))
             return _summary(relit, scene)
 
         progress = Progress(0.0, "Looking at the scene")
-        return self._jobs.start(Job("night", NIGHT_TITLE, work, no_result, in_thread=True, progress=progress), take)
+        return self._jobs.start(Job("night", NIGHT_TITLE, work, in_thread=True, progress=progress), take)
 
 
 def _summary(relit: Scene, before: Scene) -> str:

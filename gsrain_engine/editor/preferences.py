@@ -1,7 +1,7 @@
 """Preferences and the folders of per-user files."""
 
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -10,16 +10,17 @@ import platformdirs
 from msgspec import Meta
 
 from ..safe_io.errors import convert_checked
+from ..safe_io.files import lock_path, whole_file
 from ..safe_io.text_files import read_whole, yaml_values
-from ..scene.files import lock_path, whole_file
 from ..settings import Settings
+from .background import Background, Task
 from .status import Answer, Question, StatusBus, describe_error
 
 
 class PreferencesStore:
-    """Preferences in memory; each change is saved in `thread`, one write at a time."""
+    """Preferences in memory; each change is saved in `background`, one write at a time."""
 
-    def __init__(self, thread: ThreadPoolExecutor, status: StatusBus) -> None:
+    def __init__(self, background: Background, status: StatusBus) -> None:
         self.value, trouble = load_preferences()
         if trouble is not None:
             aside = preferences_file().with_name("preferences.bad.yaml")
@@ -27,9 +28,9 @@ class PreferencesStore:
                 preferences_file().replace(aside)
                 trouble += f" (kept as {aside.name}; the usual settings are used)"
             status.ask(Question("Preferences", trouble, (Answer("OK"),)))
-        self._thread, self._status = thread, status
+        self._background, self._status = background, status
         self._changed: dict[str, Any] = {}
-        self._saving: Future[Preferences] | None = None
+        self._saving: Task[Preferences] | None = None
 
     def set(self, **fields: Any) -> None:
         """Change and save preferences; a value out of bounds is reported."""
@@ -42,17 +43,14 @@ class PreferencesStore:
 
     def poll(self) -> None:
         """Write changes, unless a write is in progress. Once a frame."""
-        if self._saving is not None and self._saving.done():
-            saving, self._saving = self._saving, None
-            if (error := saving.exception()) is not None:
-                describe_error("The preferences can't be saved", Exception(str(error)))
-        if self._changed and self._saving is None:
-            changed, self._changed = self._changed, {}
-            self._saving = self._thread.submit(save_preferences, **changed)
+        if self._changed and (self._saving is None or self._saving.state != "running"):
+            save, self._changed = partial(save_preferences, **self._changed), {}
+            fail = partial(describe_error, "The preferences can't be saved")
+            self._saving = self._background.start(save, lambda _: None, fail)
 
     def close(self) -> None:
         if self._changed:
-            self._thread.submit(save_preferences, **self._changed)
+            self._background.submit(partial(save_preferences, **self._changed))
 
 
 # Folders

@@ -1,19 +1,18 @@
-"""Tools of the rain panels: virtual disdrometer, calibration fits, and keyframe panel state."""
+"""Tools of the rain panels: virtual disdrometer, calibration fits, and import of measured series."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import platformdirs
 
 from ..rain.calibration import Calibration, calibration_names, load_calibration, save_calibration
-from ..rain.keyframes import RainKeyframes
 from ..rain.simulation import RainSimulation
 from ..scene.progress import Progress
 from .document import Document
-from .jobs.job import Job, JobRunner, no_result
+from .jobs.job import Job, JobRunner
 from .status import StatusBus
 
 if TYPE_CHECKING:
@@ -25,6 +24,18 @@ if TYPE_CHECKING:
 _Result = TypeVar("_Result")
 RECORD_S = 60.0
 """Interval of virtual spectra: one minute, as real disdrometers report."""
+
+
+@dataclass(slots=True)
+class MeasuredSeries:
+    """A disdrometer file, and how its rates become rain keyframes."""
+
+    name: str
+    reading: "DisdrometerReading"
+    speed_up: float = 1.0
+    """Speed factor."""
+    start_s: float = 0.0
+    """Time of the first record."""
 
 
 class CalibrationTools:
@@ -47,9 +58,9 @@ class CalibrationTools:
         """That calibration."""
         self.files: list[str] = []
         """Calibration files opened or written in this window."""
-        self.series: tuple[str, DisdrometerReading] | None = None
-        """Name and content of a disdrometer file about to be imported as weather."""
-        self.job: Job[None] | None = None
+        self.series: MeasuredSeries | None = None
+        """A disdrometer file about to be imported as rain keyframes."""
+        self.job: Job[Any] | None = None
         """The last measurement."""
 
     @property
@@ -130,8 +141,8 @@ class CalibrationTools:
             return read_disdrometer(path)
 
         def take(reading: "DisdrometerReading") -> str:
-            self.series = path.name, reading
-            return "Read; choose in Rain keyframes how it becomes the weather"
+            self.series = MeasuredSeries(path.name, reading)
+            return "Read; choose how it becomes rain keyframes"
 
         self._begin(f"Read {path.name}", read, take)
 
@@ -173,53 +184,11 @@ class CalibrationTools:
 
     def _begin(self, title: str, work: Callable[[], _Result], take: Callable[[_Result], str]) -> None:
         """Start a measurement unless another one runs; `take` processes its result and describes it, or raises."""
-        results = list[_Result]()
 
-        def run() -> Iterator[Progress]:
+        def run() -> Generator[Progress, None, _Result]:
             yield Progress(0.0, title)
-            results.append(work())
+            return work()
 
         if self.busy is None:
-            job = Job("calibration", title, run, no_result, in_thread=True, ends_with_scene=False)
-            self.job = self._jobs.start(job, lambda _, __: take(results[0]))
-
-
-# State of the Rain keyframes panel; not part of the document
-
-_MIN_SPAN_S = 10.0
-_TOPS_MM_H = (15.0, 30.0, 60.0, 105.0)  # upper ends of the axis, in steps so that it seldom moves
-
-
-class PendingInput(NamedTuple):
-    """A number being typed; it is applied when its field loses the focus."""
-
-    time_s: float
-    field: str
-    value: float
-
-
-@dataclass(slots=True)
-class KeyframePanelState:
-    """Visible part of the curve, and the running interaction."""
-
-    refit: bool = True
-    """Show all keyframes in the next frame."""
-    top_mm_h: float = _TOPS_MM_H[0]
-    is_held: bool = False
-    """True while a keyframe is dragged; the axis changes only afterwards."""
-    typed: PendingInput | None = None
-    speed_up: float = 1.0
-    """Speed factor of the series to be imported."""
-    start_s: float = 0.0
-
-    def follow(self, heaviest_mm_h: float) -> None:
-        """Fit the axis to the heaviest rain, unless a keyframe is being dragged."""
-        if not self.is_held:
-            self.top_mm_h = next(top for top in _TOPS_MM_H if 1.05 * heaviest_mm_h <= top)
-
-    @staticmethod
-    def span_s(weather: RainKeyframes, now_s: float) -> tuple[float, float]:
-        """Time span to show: all keyframes with a margin, or one minute from now if there are none."""
-        first, last = (weather.keys[0].time_s, weather.keys[-1].time_s) if weather.keys else (now_s, now_s + 60.0)
-        span = max(last - first, _MIN_SPAN_S)
-        return first - 0.06 * span, first + 1.06 * span
+            job = Job[_Result]("calibration", title, run, in_thread=True, ends_with_scene=False)
+            self.job = self._jobs.start(job, lambda result, _: take(result))

@@ -5,8 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from ..rain.keyframes import Keyed, RainKeyframe, RainKeyframes
-from ..rain.settings import MAX_LAMP_GAIN
+from ..rain.keyframes import LONGEST_S, Keyed, RainKeyframe, RainKeyframes
 from ..rain.wetness import wetness
 from ..scene.easing import KeyEasing
 from .document import Document
@@ -37,6 +36,11 @@ TRACKS = (
     Track("lamp_gain", "light", "Factor on the light of all lamps.", "x %.3g", 1.0, True),
 )
 """Tracks of the timeline, below that of the camera."""
+
+
+def track_of(field: Keyed) -> Track:
+    """Return the track of a field."""
+    return next(each for each in TRACKS if each.field == field)
 
 
 class TrackKey(NamedTuple):
@@ -109,14 +113,22 @@ class RainTracks:
             self._document.edit_keyframes(_label("Insert", field), RainKeyframes.with_key, time_s, **change)
             self._chosen = field, time_s
 
-    def set_value(self, key: TrackKey, value: float, gesture: str | None = None) -> None:
-        """Change the value of a keyframe that is one number."""
+    def set_value(self, key: TrackKey, value: Any, gesture: str | None = None) -> None:
+        """Change the value of a keyframe."""
         time_s = float(self.times_s(key.field)[key.number])
-        high = {"lamp_gain": MAX_LAMP_GAIN, "wetness": 1.0}.get(key.field, np.inf)
-        change: dict[str, Any] = {key.field: min(value, high)}
+        change: dict[str, Any] = {key.field: value}
         self._document.edit_keyframes(
             _label("Change", key.field), RainKeyframes.with_key, time_s, gesture=gesture, **change
         )
+
+    def set_time(self, key: TrackKey, to_s: float) -> None:
+        """Move a keyframe to a time; one that is there is replaced."""
+        self._move(key, min(max(to_s, -LONGEST_S), LONGEST_S))
+
+    def _move(self, key: TrackKey, to_s: float, gesture: str | None = None, *, copies: bool = False) -> None:
+        change, word = (copy_keyframe, "Copy") if copies else (move_keyframe, "Move")
+        self._document.edit_keyframes(_label(word, key.field), change, *key, to_s, gesture=gesture)
+        self._chosen = key.field, to_s
 
     # Dragging
 
@@ -130,11 +142,8 @@ class RainTracks:
         """Move the dragged keyframe by an offset from its start; one at the same time is replaced."""
         if self.drag is None:
             return
-        (field, number), start_s, copies = self.drag
-        to_s = max(0.0, self._playback.nearest_frame_time(start_s + seconds))
-        change, word = (copy_keyframe, "Copy") if copies else (move_keyframe, "Move")
-        self._document.edit_keyframes(_label(word, field), change, field, number, to_s, gesture=_DRAG)
-        self._chosen = field, to_s
+        key, start_s, copies = self.drag
+        self._move(key, max(0.0, self._playback.nearest_frame_time(start_s + seconds)), _DRAG, copies=copies)
 
     def end_drag(self) -> None:
         self.drag = None
@@ -177,4 +186,4 @@ class RainTracks:
 
 
 def _label(word: str, field: Keyed) -> str:
-    return f"{word} {next(each.title for each in TRACKS if each.field == field)} keyframe"
+    return f"{word} {track_of(field).title} keyframe"

@@ -9,8 +9,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import NamedTuple, Protocol, runtime_checkable
 
+from ..safe_io.errors import SceneFormatError
 from ..safe_io.text_files import escape_invisible
-from ..scene.files import SceneFormatError
 from ..scene.progress import PENDING, Progress
 
 logger = logging.getLogger("gsrain")

@@ -117,7 +117,6 @@ EDITS: Mapping[str, Edit] = {
     "move-rain-keyframe": Edit("edits.rain_keyframes:move_keyframe", "keyframes", _KEYFRAME),
     "copy-rain-keyframe": Edit("edits.rain_keyframes:copy_keyframe", "keyframes"),
     "set-rain-keyframe-easing": Edit("edits.rain_keyframes:set_keyframe_easing", "keyframes"),
-    "set-rain-keyframe-number": Edit("edits.rain_keyframes:set_keyframe_number", "keyframes"),
     "remove-rain-keyframe": Edit(_KEYFRAMES + ".without_key", "keyframes"),
     "set-rain-keyframes": Edit("edits.rain_keyframes:replace_keyframes", "keyframes"),
     "set-rain-interpolation": Edit("edits.rain_keyframes:set_interpolation", "keyframes"),

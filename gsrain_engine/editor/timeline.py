@@ -129,6 +129,12 @@ class Playback:
         content = content_span(self._document.scene, self._document.keyframes)
         return self.clock.span_s or self.rollout_span_s or content
 
+    def show_all(self) -> None:
+        """Fit the ruler to playback and to all rain keyframes."""
+        (start, end), keys = self.span_s, self._document.keyframes.keys
+        first, last = (keys[0].time_s, keys[-1].time_s) if keys else (start, end)
+        self.timeline.ruler.fit(min(start, first), max(end, last))
+
     def advance(self, real_s: float) -> None:
         self.clock.advance(real_s, self.span_s)
 

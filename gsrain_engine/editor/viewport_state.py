@@ -12,6 +12,7 @@ from ..render.view import RenderView
 from ..scene.camera import Camera
 from ..scene.camera_path import CameraPath
 from ..scene.scene import DrawItem, Scene, SceneCore, core_bounds
+from .background import Background
 from .document import Document, DocumentState, Recipe
 from .edits.members import replace_scene
 from .timeline import Playback
@@ -45,7 +46,7 @@ class PendingScene:
 class ViewportState:
     """Camera and options of the viewport, and what it draws besides the document. Follows the document."""
 
-    def __init__(self, document: Document, playback: Playback) -> None:
+    def __init__(self, document: Document, playback: Playback, background: Background) -> None:
         self.document, self.playback = document, playback
         self.navigation = OrbitCamera()
         self.options = ViewOptions()
@@ -84,7 +85,7 @@ class ViewportState:
         """Image of each running job that has one."""
         self.picture_view: RenderView | None = None
         """View of the picture on the screen, in the size of the viewport; it may be a moment behind the camera."""
-        self.obstacles = ObstacleFinder()
+        self.obstacles = ObstacleFinder(background)
         self._given_m = np.full(3, np.nan)  # position of a recorded camera, from which nothing stops an orbit
         self._path = PathFollower()
         self._core: tuple[Hashable, SceneCore] | None = None

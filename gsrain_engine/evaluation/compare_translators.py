@@ -30,9 +30,9 @@ from ..datasets.image_override import flat_name
 from ..datasets.open_capture import capture_format, open_capture
 from ..datasets.undistort import undistort_frame
 from ..safe_io.errors import not_found
+from ..safe_io.files import whole_file
 from ..safe_io.fingerprints import input_fingerprint
 from ..safe_io.limits import read_file
-from ..scene.files import whole_file
 from ..scene.open import STREET
 from ..scene.progress import Progress
 from .compare_results import CLEAR, ComparedMethod, ComparedRow, ComparisonPairs, TransferComparison

@@ -13,8 +13,8 @@ from jaxtyping import Bool, Float, Float32, Float64, Int64, UInt8
 
 from ..datasets.capture import Capture
 from ..report.interval import Interval, quantiles
+from ..safe_io.files import whole_file
 from ..safe_io.limits import open_file
-from ..scene.files import whole_file
 from .fid_features import SIZE_PX, Extractor, ExtractorChoice, cell_statistics
 
 MIN_IMAGES = 4  # smaller sets are meaningless, and their resamples are almost all alike

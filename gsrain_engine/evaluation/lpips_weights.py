@@ -13,10 +13,10 @@ import platformdirs
 from jaxtyping import Float32
 
 from ..datasets.io.safe_pickle import read_pickle
+from ..safe_io.files import whole_file
 from ..safe_io.limits import check_file, check_zip_expansion, open_file
 from ..safe_io.numpy_files import read_archive
 from ..safe_io.text_files import printable_line
-from ..scene.files import whole_file
 
 PLACE = "GSRAIN_LPIPS_WEIGHTS"  # environment variable with a file of weights, or a folder of such files
 Network = Literal["alex", "vgg"]

@@ -34,7 +34,7 @@ from ..render.sequence import FrameSequence, render_image
 from ..render.view import RenderView, rain_camera
 from ..report.result import JobResult
 from ..report.table import Table, columns
-from ..scene.files import whole_file
+from ..safe_io.files import whole_file
 from ..scene.geometry import quaternions_from_matrices
 from ..scene.progress import Progress
 from ..scene.scene import Scene

@@ -11,11 +11,10 @@ from jaxtyping import Float32, UInt8
 
 from ..rain.frame import SkyLight
 from ..rain.simulation import RainSimulation
-from ..rain.wetness import flooded_share
 from ..render.passes.mirror import reflected_item
 from ..scene.ground_water import FILM_SLOPE, STANDING_SLOPE, GroundWater
 from ..scene.scene import DrawItem, Scene
-from ..water.films import WaterFilms
+from ..water.films import WaterFilms, flooded_share
 from ..water.impacts import GroundImpacts
 from ..water.mirror import SCALES, facet_table, standing_water
 from ..water.rings import standing_slope

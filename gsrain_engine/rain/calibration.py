@@ -11,7 +11,7 @@ from jaxtyping import Float
 from msgspec import Meta
 
 from ..presets import load_config, shipped_config_names
-from ..scene.files import whole_file
+from ..safe_io.files import whole_file
 from ..settings import Settings
 
 _FOLDER = "calibrations"

@@ -18,9 +18,9 @@ from jaxtyping import Float64
 from msgspec import Meta
 
 from ..safe_io.errors import convert_checked
+from ..safe_io.files import whole_file
 from ..safe_io.text_files import read_whole, yaml_values
 from ..scene.easing import KeyEasing, eased_share
-from ..scene.files import whole_file
 from ..scene.scene import Scene
 from ..settings import Settings
 from .settings import HEAVIEST_MM_H, MAX_LAMP_GAIN, ExposureSeconds, RainSettings, Share, WindComponent

@@ -326,7 +326,7 @@ class DropClassTable:
         else:
             first = int(np.floor(_steps(lowest_mm_h)))
             last = max(first + 1, int(np.ceil(_steps(highest_mm_h))))
-            grid = LOWEST_MM_H * _RATIO ** np.arange(first, last + 1)
+            grid = np.minimum(LOWEST_MM_H * _RATIO ** np.arange(first, last + 1), HEAVIEST_MM_H)
             # The table has kinks at the calibration's rows.
             rows = np.array([row.intensity_mm_h for row in calibration.rows])
             low = [0.0] if lowest_mm_h < LOWEST_MM_H else []

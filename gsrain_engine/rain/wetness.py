@@ -37,16 +37,6 @@ def water_depth_mm(intensity_mm_h: float) -> float:
     return 0.01485 * road * intensity_mm_h**DEPTH_EXPONENT
 
 
-def flooded_share(depth_mm: float) -> float:
-    """Share of a road's texture that water of a mean depth covers, so that it stands on it, 0..1.
-
-    The share of places whose texture is less deep than the water, with a normal distribution of depths of mean MTD and
-    standard deviation MTD / 2, our choice: 0.08 in steady rain of 1, 0.5 of 8.5, 0.9 of 20 mm/h.
-    """
-    above = (depth_mm - TEXTURE_DEPTH_MM) / (TEXTURE_DEPTH_MM / 2)
-    return 0.5 * math.erfc(-above / math.sqrt(2)) if depth_mm > 0 else 0.0
-
-
 def overcast(intensity_mm_h: float) -> float:
     """Share of the overcast sky in steady rain: 0 up to 0.3 mm/h, 1 from 0.5 mm/h on, and a smooth step between."""
     share = min(max((intensity_mm_h - OVERCAST_FROM_MM_H) / (OVERCAST_MM_H - OVERCAST_FROM_MM_H), 0.0), 1.0)

@@ -10,7 +10,7 @@ import numpy as np
 import platformdirs
 
 from ..appearance.wet_look.settings import WetSettings
-from ..scene.files import SceneFormatError
+from ..safe_io.errors import SceneFormatError
 from ..scene.progress import Progress
 from ..scene.scene import Layer, Scene
 from .recolor import wet_scene

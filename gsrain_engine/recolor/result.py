@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float32, Int64
 
+from ..safe_io.errors import SceneFormatError
+from ..safe_io.files import whole_file
 from ..safe_io.numpy_files import read_archive
 from ..safe_io.text_files import printable_line
-from ..scene.files import SceneFormatError, whole_file
 from ..scene.gaussians import Gaussians
 from ..scene.scene import DrawItem, Layer, Scene
 

@@ -11,7 +11,7 @@ from ..datasets.bags.pixels import with_colors
 from ..datasets.bags.reader import BagRecording, MessageKey
 from ..datasets.capture import LidarSweep
 from ..datasets.geometry import invert_pose, transform_points
-from ..scene.files import whole_folder
+from ..safe_io.files import whole_folder
 from ..scene.progress import Progress
 from .folders import FileCopies
 from .lidar import LidarRain, like_recorded

@@ -15,8 +15,8 @@ from ..datasets.capture import Capture, CaptureFrame, LidarSource, LidarSweep
 from ..datasets.io.arrays import RowFile
 from ..datasets.kitti import kitti_surroundings
 from ..render.images import write_image
+from ..safe_io.files import whole_folder
 from ..safe_io.limits import open_file, read_file
-from ..scene.files import whole_folder
 from ..scene.progress import Progress
 from .lidar import LidarRain
 from .pictures import RainyPictures

@@ -28,7 +28,7 @@ from ..datasets.waymo import (
     unpacked_matrix,
     unpacked_ranges,
 )
-from ..scene.files import whole_file, whole_folder
+from ..safe_io.files import whole_file, whole_folder
 from ..scene.progress import Progress
 from .folders import FileCopies
 from .lidar import LidarRain

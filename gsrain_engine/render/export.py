@@ -13,9 +13,9 @@ from jaxtyping import UInt8, UInt16
 from ..fields import option_words
 from ..rain.settings import RainSettings
 from ..rain.simulation import RainSimulation
+from ..safe_io.files import hold_for_writing
 from ..scene.camera import Camera
 from ..scene.camera_path import CameraPath
-from ..scene.files import hold_for_writing
 from ..scene.open import with_lod_trees
 from ..scene.progress import Progress
 from ..scene.scene import Scene

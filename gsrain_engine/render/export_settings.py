@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from msgspec import Meta
 
-from ..scene.files import shortened
+from ..safe_io.file_names import shortened
 from ..settings import Settings
 
 Pass = Literal["color", "depth", "alpha", "labels"]

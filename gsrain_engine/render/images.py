@@ -15,7 +15,7 @@ import OpenEXR
 from jaxtyping import Float32, UInt8, UInt16
 from PIL import Image, ImageCms
 
-from ..scene.files import whole_file
+from ..safe_io.files import whole_file
 from ..scene.geometry import linear_to_srgb, srgb_to_linear
 from .export_settings import DEFAULT_JPEG_QUALITY, ExportFiles, ExportSettings, Pass, export_files
 from .renderer import Frame

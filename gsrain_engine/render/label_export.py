@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, UInt16
 
+from ..safe_io.files import whole_file
 from ..scene.camera import Camera
-from ..scene.files import whole_file
 from ..scene.objects import COCO_CATEGORIES, coco_class, scene_objects
 from ..scene.progress import Progress
 from .export_settings import ExportFiles, ExportSettings, export_files

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import lazy_loader
 
-from ..scene.files import whole_file
+from ..safe_io.files import whole_file
 
 if TYPE_CHECKING:
     import msgspec

@@ -10,7 +10,7 @@ from jaxtyping import Float64, Int64, UInt8
 from markupsafe import Markup
 
 from ..render.renderer import describe_machine
-from ..scene.files import whole_file
+from ..safe_io.files import whole_file
 from . import charts
 from .charts import ImageComparison
 from .table import Table, columns

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import Image
 
-from ..scene.files import whole_file
+from ..safe_io.files import whole_file
 from .numbers import write_json
 from .page import ReportFigure, RunReport, write_report
 from .table import Table

@@ -11,8 +11,8 @@ from typing import Any
 
 from markupsafe import Markup, escape
 
+from ..safe_io.files import whole_file
 from ..safe_io.text_files import escape_invisible
-from ..scene.files import whole_file
 from .interval import Interval
 
 Cell = str | int | float | Interval | None

@@ -1,1 +1,1 @@
-"""Safe reading of untrusted files and streams: limits before allocation, errors in one sentence."""
+"""Files of strangers and of our own: limits before allocation, errors in one sentence, atomic writes, locks."""

@@ -1,8 +1,9 @@
-"""Validation errors of msgspec, extended by the allowed types, values and fields, and errors of missing inputs."""
+"""Errors in one sentence: of unreadable files, missing inputs, and msgspec's, extended by the allowed values."""
 
 import difflib
 import re
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import lazy_loader
@@ -27,6 +28,22 @@ _TYPES = {
 """Types of JSON by msgspec's names."""
 
 _NO_FIELD = re.compile(r"Object contains unknown field `(.*?)`")
+
+
+class SceneFormatError(ValueError):
+    """Error of an unreadable scene file; the message names the file, the field and the expected value."""
+
+    def __init__(self, path: Path | str, problem: str) -> None:
+        super().__init__(f"{printable_line(path)}: {printable_line(problem)}")
+        self.path = Path(path)
+        self.problem = problem
+
+
+def sentence_of(error: BaseException) -> str:
+    """Message of an error; of an OSError without its number, and with the file first."""
+    if isinstance(error, OSError) and error.strerror is not None:
+        return error.strerror if error.filename is None else f"{printable_line(error.filename)}: {error.strerror}"
+    return str(error) or type(error).__name__
 
 
 class MissingInputsError(ValueError):

@@ -8,7 +8,8 @@ import msgspec
 import numpy as np
 from jaxtyping import Float, Float64
 
-from .files import SceneFormatError, read_json
+from ..safe_io.errors import SceneFormatError
+from ..safe_io.files import read_json
 from .lens import Lens, PixelRays, bent_places, pixel_rays, rays_of_places
 from .rolling_shutter import RollingShutter
 

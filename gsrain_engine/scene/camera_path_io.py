@@ -10,11 +10,12 @@ from typing import Any, get_args
 import numpy as np
 from jaxtyping import Float64
 
+from ..safe_io.errors import SceneFormatError
+from ..safe_io.files import read_json, whole_file
 from .camera import Camera
 from .camera_path import CameraPath, Interpolation
 from .camera_path_edit import WALKING_M_S, keyframe_camera, with_constant_speed
 from .easing import KEY_EASINGS, Easing
-from .files import SceneFormatError, read_json, whole_file
 from .formats.gltf import GLTF, read_gltf_camera_path
 from .geometry import normalized, quaternions_from_matrices
 from .scene import Scene

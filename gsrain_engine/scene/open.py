@@ -12,10 +12,10 @@ import numpy as np
 import platformdirs
 from jaxtyping import Int64
 
+from ..safe_io.errors import SceneFormatError
 from ..safe_io.limits import file_sha256
 from . import lod_order, lod_tree
 from .camera import Camera
-from .files import SceneFormatError
 from .flags import UNMARKED, SelectionFlags
 from .formats.hugsim import hugsim_files, is_hugsim_folder
 from .formats.scene_files import INNER_SCENE, is_foreign_scene_folder, read_scene, write_scene

@@ -6,9 +6,9 @@ from typing import Any
 import msgspec
 
 from ..safe_io.errors import convert_checked
+from ..safe_io.files import whole_file
 from ..safe_io.limits import check_file
 from ..safe_io.text_files import printable_line, read_whole
-from ..scene.files import whole_file
 from .rollout import EgoRecord, Rollout, RolloutStep, UserRecord
 
 ROLLOUT_SUFFIXES = (".jsonl", ".parquet")

@@ -12,8 +12,8 @@ import yaml
 from ..presets import load_config, resolve_from_folder, shipped_config_names
 from ..rain.calibration import calibration_names
 from ..safe_io.errors import convert_checked
+from ..safe_io.files import whole_file
 from ..safe_io.text_files import read_whole, yaml_values
-from ..scene.files import whole_file
 from ..scene.lamp_choice import LAMP_WORDS
 from ..scene.open import STREET
 from ..scene.sensor import sensor_names

@@ -21,7 +21,7 @@ from ..evaluation.attribution.results import (
 from ..evaluation.attribution.shapley import Coalition
 from ..report.page import ReportFigure
 from ..report.table import table_of
-from ..scene.files import whole_file
+from ..safe_io.files import whole_file
 from .expansion import AttributedDrive
 from .results import FINISHED, Row
 

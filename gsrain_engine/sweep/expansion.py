@@ -21,7 +21,7 @@ from ..rain.calibration import calibration_names
 from ..rain.settings import RainSettings
 from ..render.export_settings import ExportSettings
 from ..render.object_labels import LabelFormat
-from ..scene.files import name_problem
+from ..safe_io.file_names import name_problem
 from ..scene.formats.hugsim import is_vehicle_folder
 from ..scene.lamp_choice import LAMP_WORDS, lamp_choice
 from ..scene.open import file_hash, scene_hash

@@ -23,8 +23,9 @@ from ..rain.settings import CALIBRATED_UP_TO_MM_H
 from ..report.charts import SeriesStyle, series_styles
 from ..report.page import ReportFigure, RunReport, write_report
 from ..report.table import Cell, Column, Table, columns, table_of
+from ..safe_io.file_names import shortened
+from ..safe_io.files import whole_file
 from ..safe_io.text_files import figure_words
-from ..scene.files import shortened, whole_file
 from ..simulation.metrics.summary import AFTER_COLLISION, COLLISIONS, RATE, RESULT_COLUMNS
 from . import results
 from .attribution import drive_attributions, write_attribution

@@ -16,9 +16,9 @@ import msgspec
 from msgspec import Struct, inspect
 
 from ..report.interval import Interval
+from ..safe_io.files import whole_file
 from ..safe_io.limits import read_file
 from ..safe_io.text_files import printable_line
-from ..scene.files import whole_file
 from ..simulation.metrics.summary import RESULT_COLUMNS, DriveMetrics, is_measured, mean_of
 from ..simulation.rollout_io import write_rollout
 from .expansion import Job

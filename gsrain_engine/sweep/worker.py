@@ -21,9 +21,9 @@ from ..recolor.cached_colors import cached_wet_scene
 from ..render.export import export_frames, export_sequences, frame_numbers
 from ..render.label_export import write_object_labels
 from ..render.renderer import Renderer
+from ..safe_io.files import whole_folder
 from ..scene.camera import Camera
 from ..scene.camera_path import CameraPath
-from ..scene.files import whole_folder
 from ..scene.open import file_hash, load_sorted_scene, scene_hash
 from ..scene.progress import run_to_end
 from ..scene.rig import rig_camera_path

@@ -15,8 +15,8 @@ from ..datasets.masks import read_camera_masks, with_camera_masks
 from ..datasets.open_capture import open_capture
 from ..datasets.undistort import undistort_frame
 from ..evaluation.image_metrics import Mask
+from ..safe_io.file_names import shortened
 from ..scene.camera import Camera
-from ..scene.files import shortened
 from .evaluation import validation_indices
 from .settings import LEVELS, TrainingSettings
 

@@ -24,12 +24,12 @@ from ..rain.lamp_light import light_of_drops
 from ..rain.pcg_hash import pcg4d
 from ..rain.settings import RainSettings
 from ..rain.simulation import RainSimulation
-from ..rain.wetness import TEXTURE_DEPTH_MM, flooded_share
+from ..rain.wetness import TEXTURE_DEPTH_MM
 from ..scene.gaussians import Gaussians, IdentityKey, scene_cache, sh_from_color
 from ..scene.geometry import linear_to_srgb, matrices_from_quaternions
 from ..scene.objects import coco_class, is_vehicle
 from ..scene.scene import PoseTrack, Scene
-from .films import WaterFilms
+from .films import WaterFilms, flooded_share
 
 STILL_M_S, FULL_M_S = 40 / 3.6, 60 / 3.6
 """Speeds below which a tire lets water flow aside, and from which it throws all that it displaces."""

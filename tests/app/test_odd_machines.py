@@ -73,8 +73,8 @@ def test_files_of_any_name_are_written_where_the_locale_has_no_letters_for_them(
 import os, sys
 from pathlib import Path
 from app.main import run
-from gsrain_engine.scene.files import whole_file
-from gsrain_engine.scene.files import name_problem, shortened
+from gsrain_engine.safe_io.files import whole_file
+from gsrain_engine.safe_io.file_names import name_problem, shortened
 assert sys.getfilesystemencoding() == "ascii", sys.getfilesystemencoding()
 path = Path(sys.argv[1])
 with whole_file(path) as beside:

@@ -17,7 +17,8 @@ from gsrain_engine.datasets.capture_folder import write_views
 from gsrain_engine.datasets.io.arrays import read_json as read_json_of_captures
 from gsrain_engine.datasets.layout_hints import nearest_layout
 from gsrain_engine.datasets.open_capture import open_capture
-from gsrain_engine.scene.files import SceneFormatError, read_json
+from gsrain_engine.safe_io.errors import SceneFormatError
+from gsrain_engine.safe_io.files import read_json
 from gsrain_engine.scene.formats.scene_files import read_scene
 
 from .sample_captures import INTRINSICS, opengl_pose, views

@@ -46,6 +46,5 @@ def scaled(scene, metres_per_unit):
 def settled(editor):
     """Wait for what is read and written."""
     while editor.rollouts.is_working:
-        for pending in editor.rollouts.pending:
-            pending.exception(timeout=60)
+        editor.background.wait(60)
         editor.tick(0.0)

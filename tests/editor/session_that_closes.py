@@ -8,7 +8,7 @@ import numpy as np
 import psutil
 
 from gsrain_engine.editor.editor import Editor
-from gsrain_engine.editor.jobs.job import Job, no_result
+from gsrain_engine.editor.jobs.job import Job
 from gsrain_engine.scene.progress import Progress
 
 
@@ -21,7 +21,7 @@ def silent() -> Iterator[Progress]:
 def main() -> None:
     """Do as the module says."""
     with closing(Editor()) as editor:
-        job = editor.jobs.start(Job("recolor", "Recolor", silent, no_result), lambda *_: None)
+        job = editor.jobs.start(Job("recolor", "Recolor", silent), lambda *_: None)
         while job.state == "running" and job.progress.preview is None:
             editor.jobs.wait(60)
             editor.tick(0.0)

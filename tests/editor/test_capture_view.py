@@ -13,10 +13,9 @@ from small_scene import small_scene
 from .small_capture import COLORS, small_capture, written_capture
 
 
-def wait_for(part):
-    (reading,) = part.pending
-    reading.exception(timeout=60)
-    part.poll()
+def wait_for(background):
+    background.wait(60)
+    background.poll()
 
 
 def displayed(editor, capture):
@@ -30,15 +29,15 @@ def test_files_outside_of_the_folder_are_read_after_a_question(editor, tmp_path)
     picture.rename(tmp_path / "elsewhere.png")
     picture.symlink_to(tmp_path / "elsewhere.png")
     editor.captures.open(folder)
-    wait_for(editor.captures)
+    wait_for(editor.background)
     assert editor.captures.capture is None and editor.status.problem is None
     question = editor.status.question
     assert picture.name in question.text and "--" not in question.text
     editor.status.answer(question.answers[0])
-    wait_for(editor.captures)
+    wait_for(editor.background)
     assert editor.captures.capture is not None and editor.captures.allows_outside
     editor.captures.open(written_capture(tmp_path / "another"))
-    wait_for(editor.captures)
+    wait_for(editor.background)
     assert not editor.captures.allows_outside
 
 
@@ -80,7 +79,7 @@ def test_images_are_read_on_demand_and_broken_ones_are_named(editor):
     for view in (0, 1):
         assert captures.pictures.want(view, THUMBNAIL_PX) is None
         captures.pictures.poll()
-        wait_for(captures.pictures)
+        wait_for(editor.background)
     assert tuple(captures.pictures.want(0, THUMBNAIL_PX)[10, 10]) == COLORS[0]
     assert captures.problems == ["a frame is missing", "001.png: cut off"]
     assert captures.pictures.want(1, THUMBNAIL_PX) is None

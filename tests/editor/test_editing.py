@@ -130,12 +130,10 @@ RAIN = st.fixed_dictionaries({}, optional={
     "intensity_mm_h": st.floats(0, 100), "wind_m_s": st.tuples(st.floats(-9, 9), st.floats(-9, 9)),
     "exposure_s": st.floats(0.001, 0.1), "haze": st.sampled_from(["medium", "gaussians", "none"]), "seed": SEED,
 })  # fmt: skip
-NUMBER = st.sampled_from(["time", "intensity_mm_h", "wind x", "exposure_s"])
 KEYFRAMES = st.one_of(
     edit_of(rain_keyframes.add_shower, TIME),
     edit_of(RainKeyframes.with_key, TIME, st.none()),
     edit_of(RainKeyframes.without_key, st.just(0.0)),
-    edit_of(rain_keyframes.set_keyframe_number, st.just(0.0), NUMBER, st.floats(-200, 200)),
     edit_of(rain_keyframes.replace_keyframes, st.just(NO_KEYFRAMES)),
 )  # fmt: skip
 

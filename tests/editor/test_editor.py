@@ -2,7 +2,6 @@
 
 import gc
 import weakref
-from concurrent.futures import wait
 
 import pytest
 from hypothesis import given
@@ -46,6 +45,6 @@ def test_nothing_holds_on_to_a_closed_scene(editor):
     del scene
     editor.files.close_scene()
     editor.tick(0.1)
-    wait(editor.pending_files, timeout=60)
+    editor.background.wait(60)
     gc.collect()
     assert [each() for each in means] == 3 * [None]

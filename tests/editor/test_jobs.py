@@ -4,7 +4,7 @@ import os
 import subprocess
 import sys
 import threading
-from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from multiprocessing.shared_memory import SharedMemory
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,6 +15,7 @@ import pytest
 
 from editor.files.open_document import full_disk
 from editor.job_work import deaf, ended, endless, failing, hungry, killed, leaving, painting, succeeding
+from gsrain_engine.editor.background import Background
 from gsrain_engine.editor.jobs import process
 from gsrain_engine.editor.jobs.job import Job, JobError, JobRunner, MetricCurves, duration_text
 from gsrain_engine.editor.jobs.process import SharedImage
@@ -29,7 +30,7 @@ def problems():
 
 @pytest.fixture
 def runner(problems):
-    with ThreadPoolExecutor(1) as files:
+    with closing(Background()) as files:
         opened = JobRunner(files, problems.append)
         opened.files = files
         yield opened

@@ -46,8 +46,7 @@ def until(editor, condition):
     while not condition():
         assert time.monotonic() < last, "waited in vain"
         editor.tick(0.001)
-        for work in [*editor.matching.pending, *editor.captures.pending]:
-            work.exception()  # waits for it
+        editor.background.wait()
 
 
 def test_recorded_views_are_matched_with_the_chosen_neighbor(editor):

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gsrain_engine.editor.background import Background
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.edits.members import with_members
 from gsrain_engine.editor.viewport.camera import OrbitCamera
@@ -65,7 +66,8 @@ def test_obstacles_are_looked_for_while_the_window_goes_on(editor, monkeypatch):
         return find(*arguments)
 
     monkeypatch.setattr(Obstacles, "of", slowly)
-    with closing(ObstacleFinder()) as finder:
+    with closing(Background()) as background:
+        finder = ObstacleFinder(background)
         scene, radius_m = editor.document.scene, editor.viewport.core.radius_m
         assert finder.of(scene, radius_m) is None
         is_drawn.set()

@@ -11,7 +11,6 @@ from gsrain_engine.appearance.base import TransferSettings
 from gsrain_engine.appearance.scene_views import ViewChoice, chosen_cameras
 from gsrain_engine.editor import finetune
 from gsrain_engine.editor.edits.members import replace_scene
-from gsrain_engine.editor.jobs import training
 from gsrain_engine.editor.jobs.make_rainy import (
     PreviewImages,
     TransferRequest,
@@ -115,7 +114,7 @@ def learning(task):
 def studio(editor, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
     monkeypatch.setattr(finetune, "has_torch", lambda: True)
-    monkeypatch.setattr(training, "train_transfer", learning)
+    monkeypatch.setattr(finetune, "train_transfer", learning)
     folders = {name: tmp_path / name for name in ("clear", "rainy", "output")}
     for name in ("clear", "rainy"):
         folders[name].mkdir()

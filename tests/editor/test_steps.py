@@ -192,7 +192,6 @@ def act(editor):
     document.edit_keyframes("Insert", RainKeyframes.with_key, 2.0, wind_m_s=(1.0, 2.0))
     document.change_rain("Wind", wind_m_s=(2.0, 2.0))
     document.edit_keyframes("Move", rain_keyframes.move_keyframe, "intensity_mm_h", 0, 0.5, intensity_mm_h=2.0)
-    document.edit_keyframes("Number", rain_keyframes.set_keyframe_number, 0.5, "intensity_mm_h", 1.5)
     document.edit_keyframes("Ease", rain_keyframes.set_keyframe_easing, "intensity_mm_h", 0, "hold")
     document.edit_keyframes("Copy", rain_keyframes.copy_keyframe, "intensity_mm_h", 0, 0.75)
     document.edit_keyframes("Remove", RainKeyframes.without_key, 2.0, "wind_m_s")

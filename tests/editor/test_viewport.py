@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gsrain_engine.editor.background import Background
 from gsrain_engine.editor.clock import PlaybackClock
 from gsrain_engine.editor.document import Document, DocumentState
 from gsrain_engine.editor.status import StatusBus
@@ -60,7 +61,7 @@ def scene_of(*gaussians):
 def viewport_of(scene):
     clock = PlaybackClock()
     document = Document(DocumentState(scene, RainSettings()), clock, StatusBus())
-    return ViewportState(document, Playback(document, clock))
+    return ViewportState(document, Playback(document, clock), Background())
 
 
 SHAPES = {

@@ -10,7 +10,7 @@ import numpy as np
 from gsrain_engine.evaluation.detection.detector import open_detector
 from gsrain_engine.evaluation.lpips_weights import read_arrays, write_arrays
 from gsrain_engine.recolor.result import read_recolored, write_recolored
-from gsrain_engine.scene.files import SceneFormatError
+from gsrain_engine.safe_io.errors import SceneFormatError
 from gsrain_engine.training.settings import TrainingSettings
 from gsrain_engine.training.train import CHECKPOINTS, TrainingHeader
 from tests.evaluation.detection.tiny_onnx import NAMES, write_red_finder

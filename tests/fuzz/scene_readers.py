@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from gsrain_engine.safe_io.errors import SceneFormatError
 from gsrain_engine.scene.camera import Camera, read_camera
 from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.camera_path_io import plain_camera_path, read_camera_path
-from gsrain_engine.scene.files import SceneFormatError
 from gsrain_engine.scene.formats.registry import read_gaussians
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from gsrain_engine.scene.scene import PoseTrack

@@ -35,10 +35,10 @@ from gsrain_engine.evaluation.detection.detector import open_detector
 from gsrain_engine.evaluation.lpips_weights import read_arrays
 from gsrain_engine.rain.calibration import load_calibration
 from gsrain_engine.rain.settings import load_preset
+from gsrain_engine.safe_io.errors import SceneFormatError
 from gsrain_engine.safe_io.numpy_files import read_archive
 from gsrain_engine.safe_io.text_files import check_finite, json_values, yaml_values
 from gsrain_engine.scene.camera_path_io import read_camera_path
-from gsrain_engine.scene.files import SceneFormatError
 from gsrain_engine.scene.formats.scene_files import read_scene
 from gsrain_engine.simulation.agents.http import ClientError
 from gsrain_engine.simulation.interop.hugsim_protocol import read_reply

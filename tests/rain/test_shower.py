@@ -8,7 +8,7 @@ from given_rain import HERE, STILL, gaussians_of
 from gsrain_engine.disdrometer.virtual import VirtualDisdrometer
 from gsrain_engine.rain.keyframes import RainKeyframe, RainKeyframes
 from gsrain_engine.rain.properties import DropClassTable, rain_properties
-from gsrain_engine.rain.settings import RainSettings, RegionBox
+from gsrain_engine.rain.settings import HEAVIEST_MM_H, RainSettings, RegionBox
 from gsrain_engine.rain.simulation import RainSimulation
 from oracles.drop_phases import displacement
 
@@ -147,7 +147,8 @@ def test_between_the_nodes_diameters_are_within_the_promised_share():
     """At the geometric middles, against the law of each intensity itself."""
     rain = RainSettings()
     calibration = RainSimulation.start(rain).calibration
-    table = DropClassTable.between(0.3, 30.0, rain, calibration)
+    table = DropClassTable.between(0.3, HEAVIEST_MM_H, rain, calibration)
+    assert table.nodes_mm_h[-1] == HEAVIEST_MM_H
     middles = np.sqrt(table.nodes_mm_h[:-1] * table.nodes_mm_h[1:]).tolist()
     for rate in (middles[0], middles[-1], next(each for each in middles if each > 8.5)):
         alone = DropClassTable.between(rate, rate, rain, calibration)

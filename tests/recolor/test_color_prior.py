@@ -8,8 +8,8 @@ import pytest
 from gsrain_engine.recolor.problem import fit_color_prior
 from gsrain_engine.recolor.result import read_recolored, write_recolored
 from gsrain_engine.recolor.views import ground_height_m, ground_share
+from gsrain_engine.safe_io.errors import SceneFormatError
 from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.scene.files import SceneFormatError
 from gsrain_engine.scene.gaussians import SH_C0, sh_from_color
 from gsrain_engine.scene.scene import Scene
 from training.small_street import small_street

@@ -1,7 +1,5 @@
 """Editors without a window: opened, edited, autosaved."""
 
-from concurrent.futures import wait
-
 import numpy as np
 
 from gsrain_engine.editor.drawing.frame import DrawResult
@@ -13,7 +11,7 @@ from gsrain_engine.scene.flags import BitMask, SelectionFlags
 def settle(editor):
     """Let background work end, and apply its results without a live view."""
     for _ in range(4):
-        wait(editor.pending_files, timeout=60)
+        editor.background.wait(60)
         editor.tick(0.0)
         editor.apply(DrawResult(editor.render_input(96, 64), is_pending_ready=True))
 

@@ -109,7 +109,7 @@ def test_pipes_that_nobody_reads_are_refused(command, scene, tmp_path, capsys, m
 
 @pytest.mark.parametrize("command", [SETTINGS[0], SETTINGS[2], SETTINGS[7]])
 def test_endless_pipes_take_little_memory(command, scene, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("gsrain_engine.scene.files._MAX_BYTES", 1 << 24)
+    monkeypatch.setattr("gsrain_engine.safe_io.files._MAX_BYTES", 1 << 24)
 
     def endless(path):
         os.mkfifo(path)

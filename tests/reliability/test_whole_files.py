@@ -12,7 +12,7 @@ from contextlib import contextmanager
 import pytest
 
 from app.main import BAD_INPUT, run
-from gsrain_engine.scene.files import PathInUseError, hold_for_writing, lock_file, lock_path, whole_file, whole_folder
+from gsrain_engine.safe_io.files import PathInUseError, hold_for_writing, lock_file, lock_path, whole_file, whole_folder
 from gsrain_engine.scene.formats.scene_files import write_scene
 from small_scene import small_scene
 
@@ -94,7 +94,7 @@ import sys
 shared = sys.argv[1:] == ["shared"]
 sys.argv = ["/usr/bin/gsrain", "street", "my out \\x1b[31m"]
 from pathlib import Path
-from gsrain_engine.scene.files import hold_for_writing
+from gsrain_engine.safe_io.files import hold_for_writing
 with hold_for_writing(Path(sys.stdin.readline().rstrip("\\n")), shared=shared):
     print("held", flush=True)
     sys.stdin.read()

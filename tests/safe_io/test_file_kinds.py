@@ -14,8 +14,8 @@ from gsrain_engine.datasets.capture import CaptureError
 from gsrain_engine.datasets.io.images import image_size, read_color
 from gsrain_engine.disdrometer.open import read_disdrometer
 from gsrain_engine.disdrometer.spectra import UnknownKindError
+from gsrain_engine.safe_io.errors import SceneFormatError
 from gsrain_engine.safe_io.file_kinds import kind_of_bytes, kind_of_file
-from gsrain_engine.scene.files import SceneFormatError
 from gsrain_engine.scene.formats.scene_files import read_scene
 
 POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a2146\nsize 12345\n"

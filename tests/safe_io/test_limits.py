@@ -301,7 +301,7 @@ def test_servers_that_are_silent_or_can_not_be_are_not_waited_for(monkeypatch):
 
 ALLOWED = {
     "gsrain_engine/safe_io/limits.py": "the place itself",
-    "gsrain_engine/scene/files.py": "locks, opened without waiting and never read; writes to the disk",
+    "gsrain_engine/safe_io/files.py": "locks, opened without waiting and never read; writes to the disk",
     "gsrain_engine/scene/formats/scene_folder.py": "hashes a file that it has just written",
     "gsrain_engine/scene/open.py": "hashes its own source",
     "gsrain_engine/scene/formats/lod_file.py": "next to a scene's file, of the size that its header says; in parts",

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from scipy.interpolate import CubicSpline, PchipInterpolator
 from scipy.spatial.transform import Rotation, RotationSpline
 
+from gsrain_engine.safe_io.errors import SceneFormatError
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.camera_path import CameraPath, circle_path, orbit_path
 from gsrain_engine.scene.camera_path_edit import WALKING_M_S
@@ -25,7 +26,6 @@ from gsrain_engine.scene.camera_path_io import (
     write_training_cameras,
 )
 from gsrain_engine.scene.easing import apply_easing
-from gsrain_engine.scene.files import SceneFormatError
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from gsrain_engine.scene.rig import rig_camera_path
 from gsrain_engine.scene.scene import PoseTrack, RigCamera, Scene

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gsrain_engine.safe_io.errors import SceneFormatError
 from gsrain_engine.scene.camera import Camera
-from gsrain_engine.scene.files import SceneFormatError
 from gsrain_engine.scene.formats.scene_folder import read_scene_folder, write_scene_folder
 from gsrain_engine.scene.lens import Lens, lens_numbers
 from gsrain_engine.scene.rig import rig_camera

@@ -16,9 +16,9 @@ from gsrain_engine.render.export import merges_details
 from gsrain_engine.render.export_settings import ExportSettings
 from gsrain_engine.render.level_of_detail import LodCut, LodSubset, subset_items
 from gsrain_engine.render.renderer import Frame
+from gsrain_engine.safe_io.errors import SceneFormatError
 from gsrain_engine.scene import open as scene_files
 from gsrain_engine.scene.camera import Camera
-from gsrain_engine.scene.files import SceneFormatError
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.formats.lod_file import read_lod_tree
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from boxy_scene import boxy_scene
+from gsrain_engine.safe_io.errors import SceneFormatError
 from gsrain_engine.scene.camera import Camera, look_at, read_camera
-from gsrain_engine.scene.files import SceneFormatError
 from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.objects import COCO_CATEGORIES, scene_objects

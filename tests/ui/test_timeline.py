@@ -2,18 +2,19 @@
 
 import numpy as np
 import pytest
-from imgui_bundle import implot
 
+from gsrain_engine.disdrometer.netcdf import write_spectra
+from gsrain_engine.disdrometer.virtual import VirtualDisdrometer
 from gsrain_engine.editor.edits.rain_keyframes import replace_keyframes
 from gsrain_engine.editor.overlays import path_overlay_of
 from gsrain_engine.editor.rain_regions import face_handles, inset_view
 from gsrain_engine.editor.steps import steps_since
-from gsrain_engine.rain.keyframes import RainKeyframe, RainKeyframes
-from gsrain_engine.rain.settings import HAZE_REGION
+from gsrain_engine.rain.keyframes import RainKeyframes
+from gsrain_engine.rain.settings import HAZE_REGION, HEAVIEST_MM_H, RainSettings
+from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.render.view import rain_anchor
 from ui.commands.keys import chord
 from ui.commands.table import COMMANDS
-from ui.panels import rain_keyframes
 from window_driver import imgui
 
 KEY = imgui.Key
@@ -131,45 +132,66 @@ def test_a_key_is_dragged_in_the_picture(driver):
     assert not np.array_equal(viewport.navigation.position, here)
 
 
-@pytest.fixture
-def pixel_of(monkeypatch):
-    """Screen position of a point of the plot, as last drawn."""
-    last = {}
-    drawn = rain_keyframes.now_line
-
-    def spy(editor):
-        drawn(editor)
-        for name, at in (("zero", 0.0), ("one", 1.0)):
-            pixel = implot.plot_to_pixels(at, at)
-            last[name] = np.array([pixel.x, pixel.y])
-
-    monkeypatch.setattr(rain_keyframes, "now_line", spy)
-    return lambda seconds, rate: last["zero"] + [seconds, rate] * (last["one"] - last["zero"])
+def test_time_and_values_of_a_rain_keyframe_are_typed_in_its_menu_and_next_to_the_rows(unopened):
+    unopened.size_px = 1500, 900
+    unopened.run(lambda: type_numbers_of_rain_keyframes(unopened))
 
 
-def test_keys_are_dragged_added_and_removed_in_the_plot(driver, pixel_of):
-    document = driver.editor.document
-    keys = ((0.0, 0.0), (10.0, 8.0), (20.0, 0.0))
-    hill = RainKeyframes(keys=tuple(RainKeyframe(time_s=at, intensity_mm_h=rate) for at, rate in keys))
-
-    def place(key):
-        return key.time_s, key.intensity_mm_h
-
-    document.edit_keyframes("Hill", replace_keyframes, hill)
-    driver.ctx.window_focus("//Rain keyframes")
+def type_numbers_of_rain_keyframes(driver):
+    editor = driver.editor
+    document, tracks = editor.document, editor.rain_tracks
+    hill = RainKeyframes().with_key(0.0, intensity_mm_h=0.0).with_key(4.0, intensity_mm_h=8.0)
+    document.edit_keyframes("Hill", replace_keyframes, hill.with_key(2.0, wind_m_s=(1.0, 2.0)))
+    driver.ctx.window_focus("//Timeline")
     driver.frames(4)
-    driver.stroke(pixel_of(10.0, 8.0), *(pixel_of(11.0, rate) for rate in (8.5, 9.5, 11.0)))
-    assert place(document.keyframes.keys[1]) == pytest.approx((11.0, 11.0), abs=0.3)
-    assert document.history.undo_label == "Move rain keyframe"
-    document.undo()
-    assert document.keyframes == hill
-    driver.point_at(pixel_of(15.0, 7.0))
-    driver.ctx.mouse_double_click(0)
-    driver.frames(3)
-    added = document.keyframes.keys[2]
-    assert len(document.keyframes.keys) == 4 and place(added) == pytest.approx((15.0, 7.0), abs=0.3)
-    driver.click_at(pixel_of(10.0, 8.0), button=1)
-    assert document.keyframes.key_times["intensity_mm_h"].tolist() == [0.0, added.time_s, 20.0]
+    driver.click_at(driver.area("//Timeline/**/rain key 1")[0] + 6)
+    driver.type_in("//Timeline/**/##key time", 3.21)
+    assert document.history.undo_label == "Move rain keyframe" and tracks.active == ("intensity_mm_h", 1)
+    driver.double_click("//Timeline/**/##value")
+    driver.enter("500")
+    last = document.keyframes.keys[-1]
+    assert (last.time_s, last.intensity_mm_h) == (pytest.approx(3.21), HEAVIEST_MM_H)
+    driver.click_at(driver.area("//Timeline/**/wind key 0")[0] + 6, button=1)
+    driver.type_in("//$FOCUSED/##key time", 1.5)
+    driver.type_in("//$FOCUSED/##value/$$1", -60.0)
+    assert document.keyframes.key_at(1.5).wind_m_s == (1.0, -40.0)
+    driver.press(KEY.escape)
+    driver.click("//Timeline/**/Whole path")
+    assert tracks.active is None
+    for _ in range(4):
+        document.undo()
+    assert document.keyframes == hill.with_key(2.0, wind_m_s=(1.0, 2.0))
+
+
+def test_all_rain_keyframes_are_made_imported_smoothed_and_cleared_from_the_menu(driver):
+    editor = driver.editor
+    document, ruler = editor.document, editor.playback.timeline.ruler
+    driver.ctx.window_focus("//Timeline")
+
+    def choose(name):
+        driver.click("//Timeline/**/row rain")
+        driver.ctx.item_click(f"//$FOCUSED/{name}")
+        driver.frames(3)
+
+    choose("Add passing shower")
+    assert len(document.keyframes.keys) == 7 and ruler.visible_span_s > 60
+    choose("Linear")
+    assert document.keyframes.between == "linear"
+    choose("Clear rain keyframes")
+    assert not document.keyframes.keys
+    instrument = VirtualDisdrometer(RainSimulation.start(RainSettings(intensity_mm_h=20.0)), 0.5)
+    write_spectra(driver.folder / "rain.nc", instrument.measure(60.0 * np.arange(4)).spectra)
+    for answer, count in (("Cancel", 0), ("Use it", 3)):
+        choose("Import disdrometer series...")
+        driver.choose_file("Import a series", driver.folder / "rain.nc")
+        driver.until(lambda: editor.calibration.series is not None)
+        driver.frames(3)
+        driver.type_in("//Import disdrometer series/Times faster", 60.0)
+        driver.click(f"//Import disdrometer series/{answer}")
+        assert len(document.keyframes.keys) == count and editor.calibration.series is None
+    times_s = document.keyframes.times_s
+    assert np.diff(times_s) == pytest.approx(1.0) and document.keyframes.heaviest_mm_h(document.rain) > 10
+    assert not driver.is_open("Import disdrometer series")
 
 
 def test_a_face_of_the_region_is_dragged_from_outside(driver):

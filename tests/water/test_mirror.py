@@ -8,7 +8,7 @@ import pytest
 
 from gsrain_engine.rain.settings import load_preset
 from gsrain_engine.rain.simulation import OVERCAST, RainSimulation
-from gsrain_engine.rain.wetness import flooded_share, water_depth_mm
+from gsrain_engine.rain.wetness import water_depth_mm
 from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.render.draw import draw
 from gsrain_engine.render.frame_input import FrameInput, Quality
@@ -21,6 +21,7 @@ from gsrain_engine.scene.ground_water import GroundWater, ground_membership
 from gsrain_engine.scene.lamps import Lamp, lit_lamps
 from gsrain_engine.scene.scene import Layer, Scene
 from gsrain_engine.scene.water_surface import WATER_INDEX, reflectance
+from gsrain_engine.water.films import flooded_share
 from gsrain_engine.water.mirror import SCALES, facet_table, make_mirror, mirrored_camera, rows_of_ground
 
 UP = np.array([0.0, 0.0, 1.0])

@@ -20,7 +20,6 @@ from .edit import edit_panel, history_panel
 from .jobs import jobs_panel, log_panel
 from .layers import layers_panel
 from .rain import rain_panel, rain_properties_panel
-from .rain_keyframes import rain_keyframes_panel
 from .record import record_panel
 from .select import select_panel
 from .timeline import timeline_panel
@@ -77,9 +76,7 @@ BUILT_IN_PANELS = (
     Panel("Camera rig", "right bottom", camera_mosaic_panel, page="../driving.md",
           help="The images of the vehicle's cameras."),
     Panel("Timeline", "bottom", timeline_panel, page="timeline_and_recording.md",
-          help="Keyframes of the camera and of every field with a diamond."),
-    Panel("Rain keyframes", "bottom", rain_keyframes_panel, page="rain.md",
-          help="Intensity over time."),
+          help="Keyframes of the camera, and of every field with a diamond: the rain over time."),
     Panel("Drive plots", "bottom", drive_plots, page="../driving.md",
           help="Speed, acceleration, time to collision and gap of all roll-outs; a click goes to that time."),
     Panel("Jobs", "bottom", jobs_panel,

@@ -26,14 +26,24 @@ from ..widgets.fields import (
     disabled,
     end_gesture_when_released,
     menu_item,
-    plain_label,
     same_line_if_room,
     text_color,
 )
 from ..widgets.file_dialogs import ask_what_to_open, ask_where_to_save
+from ..widgets.numbers import typed_seconds
 from ..widgets.text import label
 from .record import ask_where_to_record
-from .timeline_tracks import KEY_RADIUS, draw_key, easing_items, key_handle, track_menu, track_row
+from .timeline_tracks import (
+    KEY_RADIUS,
+    draw_key,
+    easing_items,
+    key_handle,
+    label_before,
+    rain_menu,
+    track_key_numbers,
+    track_menu,
+    track_row,
+)
 
 _FA = icons_fontawesome_6
 _LEFT, _RIGHT = imgui.MouseButton_.left, imgui.MouseButton_.right
@@ -52,7 +62,7 @@ def timeline_panel(editor: Editor) -> None:
     width = max(avail.x - numbers - titles - imgui.get_style().scrollbar_size - 8, 60.0)
     timeline.ruler.width_px = width
     if not timeline.is_fitted:
-        timeline.ruler.fit(*playback.span_s)
+        playback.show_all()
         timeline.is_fitted = True
     if playback.clock.playing and not imgui.is_mouse_down(_LEFT):
         timeline.ruler.show(playback.clock.time_s)
@@ -74,6 +84,10 @@ def timeline_panel(editor: Editor) -> None:
             key, path = camera_path.active_key, editor.document.scene.path
             if path is not None and key is not None:
                 _keyframe_numbers(editor, path, key)
+            elif (rain_key := editor.rain_tracks.active) is not None:
+                track_key_numbers(editor.document, editor.rain_tracks, rain_key)
+                if button("Whole path", _WHOLE_PATH_HELP, width=-1):
+                    editor.rain_tracks.choose(None)
             else:
                 _path_numbers(editor, path)
         imgui.end_child()
@@ -153,7 +167,7 @@ def _time(playback: Playback, end: float | None) -> None:
     if playback.timeline.asks_for_time:
         imgui.set_keyboard_focus_here()
     imgui.set_next_item_width(5.5 * imgui.get_font_size())
-    typed = _typed_number("##time", playback.clock.time_s)
+    typed = typed_seconds("##time", playback.clock.time_s)
     if imgui.is_item_active():  # a panel that has just opened takes the focus a frame later
         playback.timeline.asks_for_time = False
     imgui.set_item_tooltip("Time of the scene in seconds: traffic, rain and camera path depend on it.")
@@ -180,15 +194,6 @@ def _keyframe_buttons(camera_path: CameraPathEditor, *, has_words: bool) -> None
         imgui.same_line()
         if button(f"{_FA.ICON_FA_TRASH}###delete key", "Delete the active keyframe (Delete).") and key is not None:
             camera_path.delete_keyframe(key)
-
-
-def _typed_number(name: str, value: float) -> float | None:
-    """Draw a number field in seconds; returns the number when Enter is pressed or the field loses the focus."""
-    changed, typed = imgui.input_float(name, value, 0, 0, "%.2f s")
-    storage, item = imgui.get_state_storage(), imgui.get_item_id()
-    if changed:
-        storage.set_float(item, typed)
-    return storage.get_float(item, value) if imgui.is_item_deactivated_after_edit() else None
 
 
 # Camera path menu
@@ -290,7 +295,7 @@ def _ruler(playback: Playback, width: float, height: float) -> None:
     imgui.invisible_button("ruler", ImVec2(width, height))
     imgui.set_item_tooltip(_RULER_HELP)
     if imgui.is_item_hovered() and imgui.is_mouse_double_clicked(_LEFT):
-        ruler.fit(*playback.span_s)
+        playback.show_all()
     elif imgui.is_item_active() and not imgui.is_mouse_double_clicked(_LEFT):
         playback.clock.seek(playback.nearest_frame_time(ruler.time(imgui.get_mouse_pos().x - corner.x)))
     draw, low = imgui.get_window_draw_list(), corner.y + height
@@ -387,7 +392,8 @@ def _rows(editor: Editor, titles: float, width: float) -> None:
         _camera_row(editor, titles, width)
         for track in TRACKS:
             if track.is_always_visible or weather.is_keyed(track.field):
-                corner_of_row, row_height = _begin_row(track.title, track.help, titles, width)
+                menu = "rain menu" if track is TRACKS[0] else ""
+                corner_of_row, row_height = _begin_row(track.title, track.help, titles, width, menu)
                 track_row(editor.document, playback, editor.rain_tracks, track, corner_of_row, width, row_height)
                 _end_row(corner_of_row, titles, width, row_height)
         for row in track_rows(editor.rollouts.displayed_scene):
@@ -397,6 +403,7 @@ def _rows(editor: Editor, titles: float, width: float) -> None:
             imgui.set_scroll_y(imgui.get_scroll_y() - io.mouse_wheel * imgui.get_text_line_height())
         _keyframe_menu(playback, editor.document, editor.camera_path)
         track_menu(editor.rain_tracks, editor.document)
+        rain_menu(editor)
         _playhead(playback, ImVec2(corner.x + titles, corner.y), width, height, with_head=False)
     imgui.end_child()
     # Zoom with the wheel and pan with the middle button, over ruler and rows.
@@ -434,14 +441,21 @@ def _row(playback: Playback, row: TimelineRow, titles_px: float, width: float, h
     _end_row(corner, titles_px, width, height)
 
 
-def _begin_row(title: str, help_text: str, titles_px: float, width: float) -> tuple[ImVec2, float]:
-    """Draw title and background of a row; the rest is clipped to the part right of the titles."""
+def _begin_row(title: str, help_text: str, titles_px: float, width: float, menu: str = "") -> tuple[ImVec2, float]:
+    """Draw title and background of a row; the rest is clipped to the part right of the titles.
+
+    A click on the title opens the popup `menu`, if there is one.
+    """
     start, height = imgui.get_cursor_screen_pos(), _ROW_EM * imgui.get_font_size()
     draw, corner = imgui.get_window_draw_list(), ImVec2(start.x + titles_px, start.y)
-    imgui.invisible_button(f"row {title}", ImVec2(titles_px - 4, height))
-    imgui.set_item_tooltip(f"{title}: {help_text}")
+    if imgui.invisible_button(f"row {title}", ImVec2(titles_px - 4, height)) and menu:
+        imgui.open_popup(menu)
+    hue = color(hues.KEY if menu and imgui.is_item_hovered() else hues.TEXT)
+    imgui.set_item_tooltip(f"{title}: {help_text}" + ("\nClick: menu of all rain keyframes." if menu else ""))
     draw.push_clip_rect(start, ImVec2(corner.x - 4, start.y + height), True)
-    draw.add_text(ImVec2(start.x + 4, start.y + 0.15 * height), color(hues.TEXT), title)
+    draw.add_text(
+        ImVec2(start.x + 4, start.y + 0.15 * height), hue, f"{title} {_FA.ICON_FA_CARET_DOWN if menu else ''}"
+    )
     draw.pop_clip_rect()
     draw.push_clip_rect(corner, ImVec2(corner.x + width, corner.y + height), True)
     draw.add_rect_filled(corner, ImVec2(corner.x + width, corner.y + height - 1), color(hues.STRIPE))
@@ -544,21 +558,21 @@ def _keyframe_menu(playback: Playback, document: Document, camera_path: CameraPa
 # Numbers of the active keyframe, else of the whole path
 
 _TOO_FAST = ImVec4(0.95, 0.45, 0.38, 1.0)
-_LABEL_EM = 6.5
+_WHOLE_PATH_HELP = "Show speed, easing and the other numbers of the whole path."
 
 
 def _keyframe_numbers(editor: Editor, path: CameraPath, key: int) -> None:
     document, camera_path = editor.document, editor.camera_path
-    _label(f"Keyframe {key + 1}/{len(path.times_s)}", "Time of the keyframe in seconds, on a whole frame.")
+    label_before(f"Keyframe {key + 1}/{len(path.times_s)}", "Time of the keyframe in seconds, on a whole frame.")
     imgui.set_next_item_width(0.5 * imgui.get_content_region_avail().x - 3)
-    typed = _typed_number("##key time", float(path.times_s[key]))
+    typed = typed_seconds("##key time", float(path.times_s[key]))
     if typed is not None:
         camera_path.retime_keyframe(key, typed)
     imgui.same_line(spacing=6)
-    if button("Whole path", "Show speed, easing and the other numbers of the whole path.", width=-1):
+    if button("Whole path", _WHOLE_PATH_HELP, width=-1):
         editor.playback.timeline.key = None
     help_text = "Position in the world: x, y, z in meters, z is up. Ctrl+click types a number."
-    _label("Position", help_text)
+    label_before("Position", help_text)
     position = editor.viewport.path.positions[key].tolist()
     changed, moved = imgui.drag_float3("##key place", position, 0.02, 0, 0, "%.2f")
     imgui.set_item_tooltip(help_text)
@@ -567,7 +581,7 @@ def _keyframe_numbers(editor: Editor, path: CameraPath, key: int) -> None:
         camera_path.place_keyframe(key, "Move keyframe", position_m=position_m, gesture="key place")
     end_gesture_when_released(document)
     help_text = "Heading from +x to +y, pitch upward, and roll to the right, in degrees."
-    _label("Angles", help_text)
+    label_before("Angles", help_text)
     angles = list(camera_path.key_angles(key))
     changed, angles = imgui.drag_float3("##key look", angles, 0.1, 0, 0, "%.1f\u00b0")
     imgui.set_item_tooltip(help_text)
@@ -575,7 +589,7 @@ def _keyframe_numbers(editor: Editor, path: CameraPath, key: int) -> None:
         camera_path.place_keyframe(key, "Turn keyframe", look=ViewAngles(*angles), gesture="key look")
     end_gesture_when_released(document)
     fov = float(path.vertical_fov_deg[key])
-    _label("Field of view", "Vertical, in degrees; and the equivalent focal length on 35 mm film.")
+    label_before("Field of view", "Vertical, in degrees; and the equivalent focal length on 35 mm film.")
     half = 0.5 * imgui.get_content_region_avail().x - 3
     imgui.set_next_item_width(half)
     changed, angle = imgui.drag_float("##key fov", fov, 0.1, 2, 150, "%.1f\u00b0", CLAMPED)
@@ -598,7 +612,7 @@ def _path_numbers(editor: Editor, path: CameraPath | None) -> None:
     viewport, camera_path = editor.viewport, editor.camera_path
     displayed = path or viewport.path
     with disabled(path is None):
-        _label("Curve, easing", "Interpolation between keyframes, and easing.")
+        label_before("Curve, easing", "Interpolation between keyframes, and easing.")
         half = 0.5 * imgui.get_content_region_avail().x - 3
         imgui.set_next_item_width(half)
         help_text = "spline: smooth through all keyframes. linear: straight, at constant speed between keyframes."
@@ -608,9 +622,9 @@ def _path_numbers(editor: Editor, path: CameraPath | None) -> None:
         help_text = "Easing. none: constant speed. in and out: slow at both ends. at each key: stop at every keyframe."
         _choice(camera_path, "Easing", "easing", get_args(Easing), displayed, help_text)
         help_text = "Duration of the path in seconds: scales the times of all keyframes."
-        _label("Path duration", help_text)
+        label_before("Path duration", help_text)
         imgui.set_next_item_width(half)
-        typed = _typed_number("##duration", displayed.duration_s)
+        typed = typed_seconds("##duration", displayed.duration_s)
         imgui.set_item_tooltip(help_text)
         if typed is not None:
             camera_path.stretch_path(typed)
@@ -637,8 +651,3 @@ def _choice(
     present = getattr(path, field)
     if (picked := combo(f"##{field}", present, choices, help_text)) != present:
         camera_path.change_path(f"{title}: {picked}", **{field: picked})
-
-
-def _label(text: str, help_text: str) -> None:
-    plain_label(text, help_text)
-    imgui.same_line(_LABEL_EM * imgui.get_font_size())

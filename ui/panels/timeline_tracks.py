@@ -1,23 +1,32 @@
-"""Tracks of the rain in the Timeline panel: a row with curve and keyframes for each field, and their menu."""
+"""Tracks of the rain in the Timeline panel: a row with curve and keyframes for each field, numbers, and menus."""
 
 from collections.abc import Callable
+from typing import Literal
 
 import numpy as np
 from imgui_bundle import ImVec2, imgui
 
 from gsrain_engine.editor.document import Document
-from gsrain_engine.editor.rain_tracks import TRACKS, RainTracks, Track, TrackKey
+from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.edits.rain_keyframes import add_shower, replace_keyframes, set_interpolation
+from gsrain_engine.editor.rain import CalibrationTools
+from gsrain_engine.editor.rain_tracks import RainTracks, Track, TrackKey, track_of
 from gsrain_engine.editor.timeline import Playback, Ruler
+from gsrain_engine.fields import field_of
+from gsrain_engine.rain.keyframes import NO_KEYFRAMES, RainKeyframe
 from gsrain_engine.scene.easing import KeyEasing
 
+from ..commands.table import help_of
 from ..widgets import draw as hues
 from ..widgets.draw import color
-from ..widgets.fields import menu_item
-from ..widgets.numbers import slide
+from ..widgets.fields import CLAMPED, end_gesture_when_released, menu_item, plain_label
+from ..widgets.file_dialogs import ask_what_to_open
+from ..widgets.numbers import slide, typed_seconds
 
 _LEFT, _RIGHT = imgui.MouseButton_.left, imgui.MouseButton_.right
 KEY_RADIUS, _APART_PX, _DRAG_PX = 6.5, 3.0, 3.0
 _MENU = "rain key menu"
+_LABEL_EM, _NUMBER_EM = 6.5, 12.0
 EASING_HELP: dict[KeyEasing, str] = {
     "linear": "Evenly to the next keyframe.",
     "smooth": "Slow at both keyframes.",
@@ -60,11 +69,8 @@ def track_menu(tracks: RainTracks, document: Document) -> None:
     if not imgui.begin_popup(_MENU):
         return
     if (key := tracks.active) is not None:
-        track = next(each for each in TRACKS if each.field == key.field)
-        value = tracks.value(key)
-        if isinstance(value, float):
-            _value(tracks, document, track, key, value)
-            imgui.separator()
+        track_key_numbers(document, tracks, key)
+        imgui.separator()
         easing_items(tracks.easing(key), tracks.ease, "As all rain keyframes")
         imgui.separator()
         if menu_item("Copy", "Copy value and easing (Ctrl+C); Ctrl+V pastes them at the playhead."):
@@ -88,17 +94,81 @@ def easing_items(present: KeyEasing | None, ease: Callable[[KeyEasing | None], N
         imgui.set_item_tooltip(help_text)
 
 
-def _value(tracks: RainTracks, document: Document, track: Track, key: TrackKey, value: float) -> None:
-    low, high = {
-        "intensity_mm_h": (0.0, 149.0), "exposure_s": (0.01, 1000.0), "lamp_gain": (0.0, 10.0),
-    }.get(track.field, (0.0, 1.0))  # fmt: skip
-    imgui.set_next_item_width(11 * imgui.get_font_size())
-    changed, new = slide("##value", track.scale * value, low, high, track.form)
-    imgui.set_item_tooltip("Value of the keyframe. Drag; double click: type.")
+def track_key_numbers(document: Document, tracks: RainTracks, key: TrackKey) -> None:
+    """Edit time and value of a keyframe as numbers."""
+    track, value, form = track_of(key.field), tracks.value(key), "%.3f m/s"
+    low, high = (track.scale * each for each in field_of(RainKeyframe, key.field).bounds)
+    times, width = tracks.times_s(key.field), _NUMBER_EM * imgui.get_font_size()
+    label_before(f"{track.title.capitalize()} {key.number + 1}/{len(times)}", "Time of the keyframe in seconds.")
+    imgui.set_next_item_width(width)
+    if (to_s := typed_seconds("##key time", float(times[key.number]))) is not None:
+        tracks.set_time(key, to_s)
+        return  # its number may be another one
+    label_before("Value", f"{track.help} Drag; double click: type.")
+    imgui.set_next_item_width(width)
+    if isinstance(value, tuple):
+        changed, pair = imgui.drag_float2("##value", list(value), 0.05, low, high, form, CLAMPED)
+        value = tuple(pair)
+    else:
+        changed, value = slide("##value", track.scale * value, low, high, track.form)
+        value /= track.scale
     if changed:
-        tracks.set_value(key, new / track.scale, gesture=f"value of {track.title}")
-    if imgui.is_item_deactivated():
-        document.end_gesture()
+        tracks.set_value(key, value, gesture=f"value of {track.title}")
+    end_gesture_when_released(document)
+
+
+def label_before(text: str, help_text: str) -> None:
+    """Draw the label of the next widget, in a column of labels."""
+    plain_label(text, help_text)
+    imgui.same_line(_LABEL_EM * imgui.get_font_size())
+
+
+# Menu of all rain keyframes
+
+_SERIES_FILES = "Disdrometer files{.nc,.cdf,.dat,.txt,.csv,.log,.mis,.gz},All files{.*}"
+_INTERPOLATIONS: dict[Literal["linear", "smooth"], str] = {
+    "linear": "Straight lines between keyframes.",
+    "smooth": "Smooth, within the values of neighboring keyframes (Fritsch and Carlson, 1980).",
+}
+
+
+def add_passing_shower(document: Document, playback: Playback) -> None:
+    """Add a shower that starts now; keyframes of wind and exposure stay."""
+    document.edit_keyframes("Add passing shower", add_shower, playback.clock.time_s)
+    playback.show_all()
+
+
+def clear_keyframes(document: Document) -> None:
+    document.edit_keyframes("Clear rain keyframes", replace_keyframes, NO_KEYFRAMES)
+
+
+def ask_for_rate_file(calibration: CalibrationTools) -> None:
+    ask_what_to_open("Import a series", _SERIES_FILES, lambda paths: calibration.read_series(paths[0]))
+
+
+def rain_menu(editor: Editor) -> None:
+    """Draw the menu of all rain keyframes, in the window of the tracks."""
+    document, calibration = editor.document, editor.calibration
+    if not imgui.begin_popup("rain menu"):
+        return
+    if menu_item("Add passing shower", help_of("Add passing shower")):
+        add_passing_shower(document, editor.playback)
+    help_text = help_of("Import disdrometer series...")
+    if menu_item("Import disdrometer series...", help_text, possible=calibration.busy is None):
+        ask_for_rate_file(calibration)
+    imgui.separator()
+    present = document.keyframes.between
+    for each, help_text in _INTERPOLATIONS.items():
+        if imgui.menu_item(each.capitalize(), "", present == each)[0] and present != each:
+            document.edit_keyframes(f"Interpolation {each}", set_interpolation, each)
+        imgui.set_item_tooltip(help_text)
+    imgui.separator()
+    if menu_item("Clear rain keyframes", help_of("Clear rain keyframes"), possible=bool(document.keyframes.keys)):
+        clear_keyframes(document)
+    imgui.end_popup()
+
+
+# Drawing of tracks
 
 
 def _curve(document: Document, track: Track, ruler: Ruler, corner: ImVec2, width: float, height: float) -> None:

@@ -15,6 +15,16 @@ _LOG = int(imgui.SliderFlags_.logarithmic)
 _LOG_ZERO = 1e-4
 """ImGui's smallest value above 0 on a logarithmic scale from 0 on, for four digits."""
 
+
+def typed_seconds(name: str, value: float) -> float | None:
+    """Draw a number field in seconds; returns the number when Enter is pressed or the field loses the focus."""
+    changed, typed = imgui.input_float(name, value, 0, 0, "%.2f s")
+    storage, item = imgui.get_state_storage(), imgui.get_item_id()
+    if changed:
+        storage.set_float(item, typed)
+    return storage.get_float(item, value) if imgui.is_item_deactivated_after_edit() else None
+
+
 # Sliders
 
 

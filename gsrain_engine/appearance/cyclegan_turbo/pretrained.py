@@ -6,8 +6,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from ...safe_io.files import whole_file
 from ...safe_io.limits import check_file
-from ...scene.files import whole_file
 from . import model as turbo
 from .lora import LoraRanks
 from .model import ARCHITECTURES, CAPTIONS, CycleGanTurbo, TurboArchitecture, sd_turbo

@@ -11,9 +11,9 @@ from typing import Any
 
 import msgspec
 
+from ...safe_io.files import whole_file
 from ...safe_io.limits import check_file, check_zip_expansion, open_file
 from ...safe_io.text_files import printable_line
-from ...scene.files import whole_file
 from ..base import TrainingRecord
 from . import lora
 from .lora import LowRank, adapted_layers, addition_of

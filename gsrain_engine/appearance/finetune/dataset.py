@@ -17,8 +17,8 @@ from ...datasets.capture_folder import NO_POSES
 from ...datasets.open_capture import open_capture
 from ...datasets.rainsense import RAIN, SEPARATE_SEQUENCES
 from ...datasets.undistort import undistort_frame
+from ...safe_io.files import whole_file
 from ...safe_io.limits import open_file
-from ...scene.files import whole_file
 from ...settings import Settings
 from ..normals import NormalEstimator, normals_from_depth, normals_to_gray, open_estimator
 

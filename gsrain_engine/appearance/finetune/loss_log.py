@@ -14,8 +14,8 @@ from typing import Any, TextIO
 import numpy as np
 from jaxtyping import Float32, UInt8
 
+from ...safe_io.files import whole_file
 from ...safe_io.limits import open_file
-from ...scene.files import whole_file
 
 logger = logging.getLogger("gsrain")
 FILE = "losses.csv"

@@ -18,8 +18,8 @@ from jaxtyping import Float32, UInt8
 
 from ...render.images import write_png
 from ...safe_io.errors import convert_checked
+from ...safe_io.files import hold_for_writing
 from ...safe_io.limits import check_file
-from ...scene.files import hold_for_writing
 from ...scene.progress import Progress
 from ...training_run import CheckpointError, CheckpointFormat, CheckpointHeader, PeriodicAction, TrainingRun
 from ..base import TrainingRecord

@@ -19,9 +19,9 @@ from typing import Any, ClassVar, NamedTuple
 
 import zstandard
 
+from ...safe_io.files import whole_file
 from ...safe_io.limits import ByteBudget, ExpansionBudget, TooLargeError, check_file, open_file
 from ...safe_io.text_files import read_whole, yaml_values
-from ...scene.files import whole_file
 from ..capture import CaptureError, check_inside
 
 MCAP, SQLITE = ".mcap", ".db3"

@@ -15,8 +15,8 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 from numba import njit
 
+from ...safe_io.errors import SceneFormatError
 from ...safe_io.limits import InputError, check_expansion, check_file, open_file
-from ...scene.files import SceneFormatError
 from ...scene.formats.ply_header import element_rows, read_ply_header
 from ..capture import CaptureError
 

@@ -1,7 +1,7 @@
 """Floaters: finds Gaussians that hang in the air of a capture, by opacity, size and isolation."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from collections.abc import Generator, Iterator
+from dataclasses import replace
 from typing import Annotated
 
 import numpy as np
@@ -47,42 +47,40 @@ class FloaterRules(Settings, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     ] = 8
 
 
-@dataclass(slots=True)
-class FloaterSearch:
-    """A search through the editable background layers of a scene, as a generator that can be stopped."""
+def search_floaters(
+    scene: Scene, rules: FloaterRules
+) -> Generator[Progress, None, dict[str, tuple[Gaussians, BitMask]]]:
+    """Search the editable background layers; return the floaters of each by its key, with its Gaussians.
 
-    scene: Scene
-    rules: FloaterRules
-    found: dict[str, tuple[Gaussians, BitMask]] = field(default_factory=dict[str, "tuple[Gaussians, BitMask]"])
-    """Floaters of each layer by its key, with the Gaussians that were searched."""
-
-    def run(self) -> Iterator[Progress]:
-        """Search; `found` is complete at the end. Gaussians of a far shell, such as a sky dome, are never floaters."""
-        layers = [each for each in self.scene.layers if is_editable(each) and each.kind == "background"]
-        parts = [self.scene.part(each) for each in self.scene.layers if each.visible and each.kind == "background"]
-        shell = core_bounds([part for part in parts if part is not None]).shell
-        total = sum(len(each.gaussians) for each in layers) or 1
-        done = 0
-        for layer in layers:
-            part = self.scene.part(layer)
-            assert part is not None
-            count = len(part.gaussians)
-            there = np.arange(count) if part.left_out is None else np.flatnonzero(~part.left_out.flags)
-            flags = np.zeros(count, np.bool_)
-            flags[there] = part.gaussians.opacities[there] * np.float32(part.opacity) < self.rules.opacity_below
-            if self.rules.size_above_m > 0:
-                scale = np.float32(float(np.cbrt(np.linalg.det(part.to_world[:3, :3]))))
-                sizes_m = part.gaussians.scales[there].max(axis=1, initial=0) * scale
-                flags[there] |= sizes_m > self.rules.size_above_m
-            if self.rules.isolation_above > 0 and len(there) > 1:
-                for share, isolated in _isolated(part.gaussians.means[there], self.rules):
-                    yield Progress((done + share * count) / total, f"Looking at the neighbors in {layer.name}")
-                    if isolated is not None:
-                        flags[there] |= isolated
-            if shell is not None:
-                flags &= ~shell.holds(part)
-            done += count
-            self.found[layer.key] = part.gaussians, BitMask.of(flags)
+    Gaussians of a far shell, such as a sky dome, are never floaters.
+    """
+    found = dict[str, tuple[Gaussians, BitMask]]()
+    layers = [each for each in scene.layers if is_editable(each) and each.kind == "background"]
+    parts = [scene.part(each) for each in scene.layers if each.visible and each.kind == "background"]
+    shell = core_bounds([part for part in parts if part is not None]).shell
+    total = sum(len(each.gaussians) for each in layers) or 1
+    done = 0
+    for layer in layers:
+        part = scene.part(layer)
+        assert part is not None
+        count = len(part.gaussians)
+        there = np.arange(count) if part.left_out is None else np.flatnonzero(~part.left_out.flags)
+        flags = np.zeros(count, np.bool_)
+        flags[there] = part.gaussians.opacities[there] * np.float32(part.opacity) < rules.opacity_below
+        if rules.size_above_m > 0:
+            scale = np.float32(float(np.cbrt(np.linalg.det(part.to_world[:3, :3]))))
+            sizes_m = part.gaussians.scales[there].max(axis=1, initial=0) * scale
+            flags[there] |= sizes_m > rules.size_above_m
+        if rules.isolation_above > 0 and len(there) > 1:
+            for share, isolated in _isolated(part.gaussians.means[there], rules):
+                yield Progress((done + share * count) / total, f"Looking at the neighbors in {layer.name}")
+                if isolated is not None:
+                    flags[there] |= isolated
+        if shell is not None:
+            flags &= ~shell.holds(part)
+        done += count
+        found[layer.key] = part.gaussians, BitMask.of(flags)
+    return found
 
 
 def select_floaters(scene: Scene, found: dict[str, tuple[Gaussians, BitMask]]) -> Scene:

@@ -5,7 +5,6 @@ from typing import Any, Literal
 import msgspec
 
 from ...rain.keyframes import KEYED, Keyed, RainKeyframes, shower_keyframes
-from ...rain.settings import HEAVIEST_MM_H
 from ...scene.easing import KeyEasing
 
 
@@ -47,22 +46,3 @@ def set_keyframe_easing(keyframes: RainKeyframes, name: Keyed, number: int, easi
     others = {each: value for each, value in key.easing.items() if each != name}
     changed = msgspec.structs.replace(key, easing=others if easing is None else others | {name: easing})
     return msgspec.structs.replace(keyframes, keys=tuple(changed if each is key else each for each in keyframes.keys))
-
-
-def set_keyframe_number(keyframes: RainKeyframes, time_s: float, name: str, value: float) -> RainKeyframes:
-    """Change one number of a keyframe, clamped to its bounds.
-
-    `name` is "time" (s), "intensity_mm_h", "wind x" or "wind y" (m/s), or "exposure_s" (with a value in milliseconds).
-    """
-    if name == "time":
-        for each in KEYED:  # fields without a keyframe here are unaffected
-            keyframes = keyframes.moved_key(time_s, min(max(value, -1e6), 1e6), each)
-        return keyframes
-    if name == "intensity_mm_h":
-        return keyframes.with_key(time_s, intensity_mm_h=min(max(value, 0.0), HEAVIEST_MM_H))
-    if name == "exposure_s":
-        return keyframes.with_key(time_s, exposure_s=min(max(value / 1000, 1e-5), 1.0))
-    key = keyframes.key_at(time_s)
-    x, y = (key.wind_m_s if key is not None else None) or (0.0, 0.0)
-    value = min(max(value, -40.0), 40.0)
-    return keyframes.with_key(time_s, wind_m_s=(value, y) if name == "wind x" else (x, value))

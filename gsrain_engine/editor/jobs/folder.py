@@ -12,7 +12,7 @@ from pathlib import Path
 
 import platformdirs
 
-from ...scene.files import lock_path
+from ...safe_io.files import lock_path
 from ...scene.formats.scene_folder import FileCache, write_scene_folder
 from ...scene.scene import Scene
 

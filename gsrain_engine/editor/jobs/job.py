@@ -1,10 +1,10 @@
-"""Background jobs and calls in a thread: start them, follow them, hand their results over on the main thread."""
+"""Background jobs: start them, follow them, hand their results over on the main thread."""
 
 import logging
 import traceback
 from array import array
 from collections.abc import Callable, Generator, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from concurrent.futures import wait as wait_for
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -16,8 +16,9 @@ from typing import Any, Generic, Literal, TypeVar, cast
 import numpy as np
 from jaxtyping import Float64
 
-from ...scene.files import sentence_of
+from ...safe_io.errors import sentence_of
 from ...scene.progress import PENDING, Progress
+from ..background import Background
 from .folder import temporary_folder
 from .process import JobState, Work, WorkerProcess, WorkerThread
 
@@ -65,8 +66,9 @@ class Job(Generic[_Result]):
     title: str
     work: Work
     """Function for the worker, which gets the arguments that `inputs` returns."""
-    read: Callable[[Path], _Result]
-    """Reads the result from the job's folder; in the thread for files."""
+    read: Callable[[Path], _Result] | None = None
+    """Reads the result from the job's folder, in the thread for files; by default the result is what `work` returns in
+    a thread, and None of a process."""
     inputs: Callable[[Path], tuple[Any, ...]] = lambda _: ()
     """Writes the worker's input into the job's folder, and returns the arguments; in the thread for files."""
     snapshot: Callable[[Path], _Result | None] | None = None
@@ -149,8 +151,8 @@ class Job(Generic[_Result]):
 
     def forget_work(self) -> None:
         """Free what its functions refer to, such as scenes."""
-        self.work = self.inputs = self.read = _ended
-        self.snapshot = None
+        self.work = self.inputs = _ended
+        self.read = self.snapshot = None
 
 
 def duration_text(seconds: float) -> str:
@@ -161,10 +163,6 @@ def duration_text(seconds: float) -> str:
         return f"{seconds:.0f} s"
     minutes, rest = divmod(round(seconds), 60)
     return f"{minutes}:{rest:02d} min" if minutes < 60 else f"{minutes // 60}:{minutes % 60:02d} h"
-
-
-def no_result(_: Path) -> None:
-    """Read nothing, for jobs without a result."""
 
 
 def _ended(*_: object) -> Any:
@@ -192,11 +190,11 @@ class JobRunner:
 
     def __init__(
         self,
-        files: ThreadPoolExecutor,
+        files: Background,
         report_problem: Callable[[str], object],
         is_ready: Callable[[], bool] = lambda: True,
     ) -> None:
-        """Read and write in the thread `files`; `report_problem` gets one sentence about each job that fails.
+        """Read and write in `files`; `report_problem` gets one sentence about each job that fails.
 
         While `is_ready` returns False, no waiting job begins: the result of the last one is still being taken in.
         """
@@ -376,8 +374,11 @@ class JobRunner:
                 job.error, job.details = worker.error, worker.details
                 raise JobError(worker.error)
             job.progress = job.progress._replace(fraction=1.0, message="Loading the result")
-            job.result = yield from _result_of(self._files.submit(job.read, folder))
-            return on_result(job.result, True)
+            if job.read is not None:
+                job.result = yield from _result_of(self._files.submit(job.read, folder))
+            elif isinstance(worker, WorkerThread):
+                job.result = worker.result
+            return on_result(cast(_Result, job.result), True)
         finally:
             preparing.cancel()
             if worker is not None:
@@ -397,65 +398,3 @@ def _short(file: Path) -> str:
     """Path of a file, with ~ for the user's home."""
     home = Path.home()
     return str(Path("~") / file.relative_to(home)) if file.is_relative_to(home) else str(file)
-
-
-# Calls in a thread
-
-
-@dataclass(eq=False)
-class ThreadTask(Generic[_Result]):
-    """A call in a thread; it ends when its result, or its error, is processed on the main thread."""
-
-    title: str
-    progress: Progress
-    future: Future[_Result]
-    on_result: Callable[[_Result], object]
-    on_error: Callable[[Exception], object]
-    state: JobState = field(default="running", init=False)
-
-    def cancel(self) -> None:
-        """Discard the result; a file in writing is completed nevertheless."""
-        self.state = "cancelled"
-        self.future.cancel()
-
-
-class ThreadTasks:
-    """Calls in a thread, whose results are processed on the main thread in the order of their start."""
-
-    def __init__(self, thread: ThreadPoolExecutor) -> None:
-        self.running: list[ThreadTask[Any]] = []
-        self._thread = thread
-
-    @property
-    def futures(self) -> list[Future[Any]]:
-        """Results of all running calls, to wait for where there are no frames."""
-        return [each.future for each in self.running]
-
-    def start(
-        self,
-        work: Callable[[], _Result],
-        on_result: Callable[[_Result], object],
-        on_error: Callable[[Exception], object],
-        title: str = "",
-        message: str = "",
-    ) -> ThreadTask[_Result]:
-        """Call `work` in the thread; `message` is its progress."""
-        future = self._thread.submit(work)
-        task = ThreadTask(title, Progress(0.0, message), future, on_result, on_error)
-        self.running.append(task)
-        return task
-
-    def poll(self) -> None:
-        """Process the calls that have ended. Once a frame."""
-        for task in [each for each in self.running if each.future.done()]:
-            self.running.remove(task)
-            if task.state == "cancelled":
-                continue
-            try:
-                result = task.future.result()
-            except Exception as error:  # any error of a disk or a file: the window must survive
-                task.state = "failed"
-                task.on_error(error)
-            else:
-                task.state = "finished"
-                task.on_result(result)

@@ -23,8 +23,8 @@ import numpy as np
 import psutil
 from jaxtyping import Int64, UInt8
 
+from ...safe_io.errors import sentence_of
 from ...safe_io.limits import receive_message
-from ...scene.files import sentence_of
 from ...scene.progress import Progress
 from ...threads import WORKER_NICENESS, thread_limit, usable_cores
 
@@ -183,6 +183,8 @@ class WorkerThread:
         """Start the thread."""
         self.state: JobState = "running"
         self.progress = Progress(0.0, "Starting")
+        self.result: Any = None
+        """Return value of the generator."""
         self.error: str | None = None
         self.details: str | None = None
         thread = futures.ThreadPoolExecutor(max_workers=1)
@@ -207,10 +209,11 @@ class WorkerThread:
 
     def _run(self, work: Work, arguments: tuple[Any, ...]) -> None:
         try:
-            for self.progress in work(*arguments):
-                if self.state == "cancelled":
-                    return
-            self.state = "finished"
+            steps = work(*arguments)
+            while self.state == "running":
+                self.progress = next(steps)
+        except StopIteration as end:
+            self.result, self.state = end.value, "finished"
         except Exception as error:  # as of a process: the job fails
             self.error, self.details, self.state = _sentence(error), traceback.format_exc(), "failed"
 

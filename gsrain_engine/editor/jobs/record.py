@@ -80,8 +80,8 @@ def timing_job(scene: Scene, recording: ExportSettings, known: FileCache) -> Job
     end_s = recording.first_s + TIMED_FRAMES / recording.fps
     frames = replace(recording, last_s=end_s)
     return Job(
-        "timing", f"Time {TIMED_FRAMES} frames", time_in_worker, lambda _: None,
-        lambda folder: (write_copy(scene, folder, known), frames), ends_with_scene=False,
+        "timing", f"Time {TIMED_FRAMES} frames", time_in_worker,
+        inputs=lambda folder: (write_copy(scene, folder, known), frames), ends_with_scene=False,
     )  # fmt: skip
 
 

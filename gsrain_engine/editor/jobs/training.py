@@ -1,101 +1,26 @@
-"""Jobs of the `jobs` extra: fine-tune the transfer, recolor, reconstruct; and the check for torch."""
+"""Jobs of the `jobs` extra: recolor, reconstruct; and the check for torch."""
 
 from collections.abc import Generator, Iterator
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from ...appearance.cyclegan_turbo.weight_paths import find_whole_base_model
-from ...appearance.finetune.settings import FinetuneTask, FinetuningSettings, find_clip
-from ...appearance.normals import ESTIMATORS, missing_estimator_files
 from ...datasets.image_override import with_images
 from ...datasets.open_capture import open_capture
-from ...evaluation.lpips_weights import find_lpips_weights
 from ...recolor.recolor import RecolorOptions, RecolorRun, recolor_to_capture
 from ...recolor.result import read_recolored, with_colors, write_recolored
 from ...report.page import write_report
-from ...safe_io.errors import MissingInputsError, not_found
-from ...scene.files import SceneFormatError
+from ...safe_io.errors import SceneFormatError
 from ...scene.formats.scene_files import read_scene
 from ...scene.formats.scene_folder import FileCache
 from ...scene.progress import Progress
 from ...scene.scene import Scene
 from ...training.data import ReconstructionTask
 from ...training.settings import TrainingSettings
-from ...trusted_code import expect_trusted
 from .folder import new_report, write_copy
 from .job import Job
 
-if TYPE_CHECKING:
-    from ...appearance.finetune.settings import FinetuneResult
-
 _STARTING = Progress(0.0, "Starting")
-
-# Job "Train transfer": fine-tuning, with LPIPS if weights are available
-
-_LOSS_PLOTS = {
-    "Cycle": ("cycle_clear", "cycle_rainy", "identity_clear", "identity_rainy"),
-    "Discriminators": ("gan_rainy", "gan_clear", "judge_rainy_made", "judge_rainy_real"),
-}
-"""Losses by plot: those to minimize, and the adversarial ones."""
-
-
-def finetune_job(task: FinetuneTask) -> Job[Path]:
-    """Create a job whose result is the file of the weights. After cancelling, a job can resume from its folder."""
-    return Job(
-        "fine-tune", "Train transfer", train_transfer, lambda _: task.weights, lambda _: (task,),
-        ends_with_scene=False, output=task.output, progress=_STARTING, plots=_LOSS_PLOTS,
-    )  # fmt: skip
-
-
-def missing_for_finetuning(settings: FinetuningSettings) -> list[str]:
-    """Name every file and folder that a fine-tuning lacks, with how to get it; a line each.
-
-    LPIPS counts only with others: without its weights a fine-tuning goes on, with a warning.
-    """
-    pictures, missing = settings.pictures, list[str]()
-    for look, sources in (("clear", pictures.clear), ("rainy", pictures.rainy)):
-        paths = [each.path for each in sources if not Path(each.path).exists()]
-        missing += [f"{path}: no such file or folder; --{look} PATH names {look} pictures" for path in paths]
-    missing += [
-        f"--{name} {path}: no such file or folder"
-        for name, path in (("start", settings.start), ("lpips", settings.lpips))
-        if path is not None and not Path(path).exists()
-    ]
-    if pictures.guide != "none" and pictures.normals in ESTIMATORS:
-        missing += missing_estimator_files(pictures.normals, pictures.normals_weights, pictures.normals_checkout)
-    is_tiny, base, clip = settings.architecture == "tiny", settings.base, settings.clip
-    if not is_tiny:
-        missing += not_found(find_whole_base_model, None if base is None else Path(base))
-    if not is_tiny or clip is not None:
-        missing += not_found(find_clip, None if clip is None else Path(clip))
-    if missing and settings.lpips is None and _uses_lpips(settings):
-        missing += not_found(find_lpips_weights, "vgg")
-    return missing
-
-
-def _uses_lpips(settings: FinetuningSettings) -> bool:
-    return bool(settings.losses.cycle_lpips or settings.losses.identity_lpips)
-
-
-def train_transfer(task: FinetuneTask) -> "Generator[Progress, None, FinetuneResult]":
-    """Fine-tune.
-
-    Yields and raises as `finetune` does, ValueError if torch is missing, and `MissingInputsError` for missing files.
-    """
-    require_torch("training the transfer", HOW_TO_GET_DIFFUSION)
-    expect_trusted(task.code)
-    if missing := missing_for_finetuning(task.settings):
-        raise MissingInputsError(missing)
-    from ...appearance.finetune.run import chosen_device, finetune
-    from ...evaluation.lpips import lpips_loss
-
-    settings = task.settings
-    file = None if settings.lpips is None else Path(settings.lpips)
-    lpips = lpips_loss(file, chosen_device(settings.device)) if _uses_lpips(settings) else None
-    return (yield from finetune(task, lpips))
-
 
 # Job "Recolor": solve for wet colors so that the scene matches given images
 

@@ -1,7 +1,7 @@
 """Obstacles of the viewport camera: cells of space that a scene's surfaces occupy, so that an orbit stops at a wall."""
 
 from collections.abc import Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -10,6 +10,7 @@ from jaxtyping import Float64, Int64
 
 from ...scene.geometry import matrices_from_quaternions
 from ...scene.scene import DrawItem, Scene
+from ..background import Background
 
 _OPAQUE = 0.5  # opacity from which a Gaussian is a surface; floaters are fainter
 _SOLID_SAMPLES = 3  # samples of Gaussians from which a cell is occupied: a single floater is none
@@ -61,8 +62,8 @@ class Obstacles:
 class ObstacleFinder:
     """The obstacles of the present scene, found in a thread at the first use. Main thread only."""
 
-    def __init__(self) -> None:
-        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="obstacles")
+    def __init__(self, background: Background) -> None:
+        self._background = background
         self._key: object = None
         self._found: Future[Obstacles] | None = None
 
@@ -72,12 +73,8 @@ class ObstacleFinder:
             self._key = scene.geometry_key
             solid = [each for each in scene.layers if each.visible and each.kind != "sky"]
             items = [part for each in solid if (part := scene.part(each)) is not None]
-            self._found = self._thread.submit(Obstacles.of, items, radius_m)
+            self._found = self._background.submit(Obstacles.of, items, radius_m, lane="obstacles")
         return self._found.result() if wait or self._found.done() else None
-
-    def close(self) -> None:
-        """End the thread."""
-        self._thread.shutdown(cancel_futures=True)
 
 
 class _Samples(NamedTuple):

@@ -26,8 +26,8 @@ from ...render.provenance import PictureProvenance, provenance_of
 from ...render.renderer import Renderer
 from ...render.sky_color import SkyColor
 from ...render.view import RenderView, ego_view
+from ...safe_io.files import whole_file
 from ...safe_io.limits import read_file
-from ...scene.files import whole_file
 from ...scene.objects import scene_objects
 from ...scene.scene import Scene
 from .decoders import intersection_over_union

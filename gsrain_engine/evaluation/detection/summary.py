@@ -11,7 +11,7 @@ from jaxtyping import Float64
 
 from ...report.interval import FEW_OBJECTS, Interval
 from ...report.table import Column, Table, columns, table_of
-from ...scene.files import whole_file
+from ...safe_io.files import whole_file
 from .ground_truth import is_same_class
 from .metrics import DistanceRecall, Robustness, average_precision, recall_by_distance, robustness
 from .run import DetectionResult, Kind, ObjectRow

@@ -24,8 +24,8 @@ from ...rain.wetness import water_depth_mm
 from ...render.cpu.projection import project
 from ...render.cpu.tiles import TILE, bin_into_tiles
 from ...render.view import leveled_frame
+from ...safe_io.files import whole_file
 from ...scene.camera import Camera
-from ...scene.files import whole_file
 from ...scene.geometry import matrices_from_quaternions
 from ...scene.scene import DrawItem, Layer, PoseTrack, Scene
 from ...water.spray import SprayParcels

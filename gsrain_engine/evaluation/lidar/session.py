@@ -22,8 +22,8 @@ from ...report.numbers import finite_numbers, provenance_lines, run_provenance, 
 from ...report.page import ReportFigure, RunReport, write_report
 from ...report.table import Cell, Table, columns
 from ...safe_io.errors import convert_checked
+from ...safe_io.file_names import file_word
 from ...safe_io.text_files import read_whole, yaml_values
-from ...scene.files import file_word
 from ...scene.progress import Progress
 from ...scene.scene import Scene
 from ...settings import Settings

@@ -14,6 +14,7 @@ from ...rain.frame import RainFrame
 from ...rain.lamp_light import LampLight, light_in_picture
 from ...rain.medium import RainMedium
 from ...scene.camera import Camera
+from ...scene.gaussians import SH_C0, Gaussians, IdentityKey, scene_cache
 from ...scene.lens import PixelRays
 from ...scene.scene import DrawItem
 from ...water.mirror import LensMirror, Mirror
@@ -32,7 +33,6 @@ from ..renderer import (
 )
 from .buffers import GpuArrays, GrowableBuffer, Harmonics, ProjectedSplatBuffer, check_gpu_memory
 from .context import check_context, is_software
-from .films import film_items
 from .projection import ProjectionPass, sky_uniforms
 from .shaders import GpuTimers, Switches, load_compute_shader, load_program
 from .sort import SLOTS, CpuSort, RadixSort, count_in
@@ -186,7 +186,7 @@ class SplatRenderer:
             light, films_ms = None, dict[str, float]()
             if mirror is not None:
                 with timed(films_ms, "mirror"):
-                    self._draw(film_items(parts), camera)
+                    self._draw(_film_items(parts), camera)
                     self._complete()
                     light = self._uploaded(mirror.reflected(self._fetch(self.picture)[..., :2]))
             self._draw(parts, camera, rain, with_depth=with_depth, look=look, mirrored=light)
@@ -610,3 +610,25 @@ class Screen:
         self._vertices.render(moderngl.TRIANGLES, vertices=3)
         before.use()
         return texture
+
+
+# Films and standing water, as colors: the rasterizers have no channels for them
+
+
+def _film_items(items: Sequence[DrawItem]) -> list[DrawItem]:
+    """Items whose colors are their shares of films (red) and standing water (green), for renderers without channels."""
+    return [
+        item._replace(
+            gaussians=_film_colored(item.gaussians, IdentityKey(item.film)), wet_sh=None, selected=None, colors=None
+        )
+        for item in items
+    ]
+
+
+@scene_cache(maxsize=64)
+def _film_colored(gaussians: Gaussians, film: IdentityKey) -> Gaussians:
+    shares: np.ndarray | None = film.of  # pyright: ignore[reportAssignmentType]
+    color = np.zeros((len(gaussians), 1, 3), np.float32)
+    if shares is not None:
+        color[:, 0, :2] = shares
+    return gaussians.with_sh((color - np.float32(0.5)) / np.float32(SH_C0))

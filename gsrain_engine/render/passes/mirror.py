@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Bool
 
 from ...rain.frame import RainFrame
-from ...rain.wetness import flooded_share
 from ...scene.camera import Camera
 from ...scene.flags import BitMask
 from ...scene.gaussians import Gaussians, IdentityKey, scene_cache
@@ -19,6 +18,7 @@ from ...scene.lamps import LitLamps
 from ...scene.lens_faces import wide_face
 from ...scene.lod_order import lod_sample
 from ...scene.scene import DrawItem, Scene
+from ...water.films import flooded_share
 from ...water.leveled_ground import LeveledView, leveled_item, leveled_lamps
 from ...water.mirror import LensMirror, Mirror, make_mirror, mirrored_camera
 from ...water.rings import RingWaves

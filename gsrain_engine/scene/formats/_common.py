@@ -12,8 +12,8 @@ import psutil
 import zstandard
 from jaxtyping import Bool, Float32, Integer, UInt8
 
+from ...safe_io.errors import SceneFormatError
 from ...safe_io.limits import max_expanded_bytes
-from ..files import SceneFormatError
 from ..gaussians import Gaussians
 from ..scene import Layer, Scene
 from ..transforms import FILE_UP

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32, Int64, UInt, UInt32
 
-from ..files import SceneFormatError
+from ...safe_io.errors import SceneFormatError
 from ..gaussians import COEFFICIENTS_OF_DEGREE, SH_C0, Gaussians
 from ..scene import robust_bounds
 from ._common import COARSE_SHARE, check_room, checked_gaussians, with_largest, without_largest

@@ -20,10 +20,9 @@ from jaxtyping import Float32, Float64, UInt8
 from msgspec import Meta
 from msgspec.structs import replace as replace_fields
 
-from ...safe_io.errors import readable_validation_error
+from ...safe_io.errors import SceneFormatError, readable_validation_error
 from ...safe_io.limits import read_file
 from ..camera_path import CameraPath
-from ..files import SceneFormatError
 from ..gaussians import COEFFICIENTS_OF_DEGREE, SH_C0, Gaussians, sh_from_color
 from ..geometry import matrices_from_quaternions, quaternions_from_matrices, srgb_to_linear
 from ..scene import Scene

@@ -21,11 +21,10 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int64
 from msgspec import Meta
 
-from ...safe_io.errors import convert_checked
+from ...safe_io.errors import SceneFormatError, convert_checked
 from ...safe_io.limits import check_file, check_zip_expansion, open_file, read_file
 from ...safe_io.text_files import json_values, printable_line
 from ..camera import DEFAULT_EXPOSURE_S
-from ..files import SceneFormatError
 from ..gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
 from ..geometry import quaternions_from_matrices
 from ..scene import Actor, Layer, PoseTrack, RigCamera, Scene

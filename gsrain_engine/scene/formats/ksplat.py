@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float32, Shaped
 
+from ...safe_io.errors import SceneFormatError
 from ...safe_io.limits import read_file
-from ..files import SceneFormatError
 from ..gaussians import COEFFICIENTS_OF_DEGREE, SH_C0, Gaussians, sh_from_color
 from ._common import check_room, checked_gaussians, rounded_bytes
 

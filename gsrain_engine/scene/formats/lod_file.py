@@ -8,8 +8,8 @@ import msgspec
 import numpy as np
 import platformdirs
 
+from ...safe_io.errors import SceneFormatError
 from ...safe_io.limits import open_file
-from ..files import SceneFormatError
 from ..gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
 from ..lod_tree import FAN_OUT, MAX_ROOTS, LodTree, level_starts
 from ..mapped_arrays import map_arrays

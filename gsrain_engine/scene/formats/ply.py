@@ -16,8 +16,8 @@ import numpy as np
 from jaxtyping import Float, Float32, Float64, Int64
 
 from ...kernels import NOGIL
+from ...safe_io.errors import SceneFormatError
 from ...safe_io.limits import open_file
-from ..files import SceneFormatError
 from ..gaussians import COEFFICIENTS_OF_DEGREE, Gaussians, sh_from_color
 from ..scene import Actor, Layer, PoseTrack, Scene
 from ..transforms import FILE_UP, far_place, flatten_scene, moved_gaussians, origin_in_file

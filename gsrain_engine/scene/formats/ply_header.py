@@ -7,7 +7,7 @@ from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
-from ..files import SceneFormatError
+from ...safe_io.errors import SceneFormatError
 
 ANTIALIASED = "SplatRenderMode: mip"
 """Comment in the header of a file with `Gaussians.antialiased`, as Brush writes it; Postshot's `antialiased 1` is

@@ -13,8 +13,9 @@ from typing import TypeVar
 import numpy as np
 
 from ...plugins import SCENE_FORMATS, Extension, ExtensionError, find_extensions
+from ...safe_io.errors import SceneFormatError
 from ...safe_io.file_kinds import kind_of_file
-from ..files import SceneFormatError, whole_file
+from ...safe_io.files import whole_file
 from ..gaussians import Gaussians
 from ..scene import Scene
 from ..transforms import flatten_scene, lost_far_out, lost_when_flattened

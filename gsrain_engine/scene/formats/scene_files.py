@@ -3,7 +3,8 @@
 import re
 from pathlib import Path
 
-from ..files import SceneFormatError, visible_siblings
+from ...safe_io.errors import SceneFormatError
+from ...safe_io.file_names import visible_siblings
 from ..scene import Scene
 from ..transforms import recentered
 from ._common import single_layer, stem_of

@@ -16,11 +16,11 @@ import msgspec
 import numpy as np
 from jaxtyping import Float32
 
-from ...safe_io.errors import readable_validation_error
+from ...safe_io.errors import SceneFormatError, readable_validation_error
+from ...safe_io.files import hold_for_writing, lock_path, naming_path, sync, whole_file, whole_folder
 from ...safe_io.limits import open_file, read_file
 from ...safe_io.numpy_files import read_array_header
 from ...safe_io.text_files import check_finite as check_finite_values
-from ..files import SceneFormatError, hold_for_writing, lock_path, naming_path, sync, whole_file, whole_folder
 from ..gaussians import Gaussians
 from ..lod_tree import LodTree
 from ..mapped_arrays import map_arrays

@@ -17,9 +17,8 @@ from jaxtyping import Float32, UInt8
 from msgspec import Meta
 from PIL import Image
 
-from ...safe_io.errors import readable_validation_error
+from ...safe_io.errors import SceneFormatError, readable_validation_error
 from ...safe_io.limits import TooLargeError, read_file
-from ..files import SceneFormatError
 from ..gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
 from ._common import check_expansion, check_room, checked_gaussians, with_largest
 from .stored_zip import open_zip, read_member

@@ -9,8 +9,8 @@ import numpy as np
 import zstandard
 from jaxtyping import Float32
 
+from ...safe_io.errors import SceneFormatError
 from ...safe_io.limits import read_file
-from ..files import SceneFormatError
 from ..gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
 from ._common import (
     COARSE_SHARE,

@@ -7,7 +7,7 @@ import zlib
 from collections.abc import Mapping
 from pathlib import Path
 
-from ..files import SceneFormatError
+from ...safe_io.errors import SceneFormatError
 
 _ERRORS = (zipfile.BadZipFile, zlib.error, struct.error, EOFError, NotImplementedError, ValueError, OSError)
 """Exceptions of `zipfile` for damaged archives, found by experiment."""

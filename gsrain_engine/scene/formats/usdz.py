@@ -22,8 +22,8 @@ import numpy as np
 import psutil
 from jaxtyping import Float32, Float64
 
+from ...safe_io.errors import SceneFormatError
 from ...safe_io.limits import address_space_bytes, read_file, reading_deadline
-from ..files import SceneFormatError
 from ..gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
 from ..geometry import quaternions_from_matrices
 from ..scene import Actor, Layer, PoseTrack, RigCamera, Scene, is_sky

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Int8
 from msgspec import structs
 
-from ..files import whole_file
+from ...safe_io.files import whole_file
 from ..gaussians import SH_C0
 from .layout import STREETS, StreetParameters
 

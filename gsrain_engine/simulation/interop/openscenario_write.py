@@ -15,7 +15,7 @@ from ...rain.calibration import load_calibration
 from ...rain.properties import rain_properties
 from ...rain.settings import RainSettings
 from ...rain.wetness import water_depth_mm
-from ...scene.files import whole_file
+from ...safe_io.files import whole_file
 from ...scene.objects import coco_class
 from ...scene.scene import Scene
 from ..ground import recorded_route, road_surface_of

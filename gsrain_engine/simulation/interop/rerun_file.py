@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 from jaxtyping import Float32, Float64, Int64, UInt8
 
-from ...scene.files import whole_file
+from ...safe_io.files import whole_file
 from ...scene.gaussians import SH_C0
 from ...scene.scene import Scene
 from ..geometry import Route

@@ -14,7 +14,7 @@ from jaxtyping import Float32, Float64
 from scipy.spatial.transform import Rotation
 
 from ...evaluation.lidar.scan import RainyScan
-from ...scene.files import whole_folder
+from ...safe_io.files import whole_folder
 from ..rollout import CameraImage, Rollout, RolloutStep, UserModel, UserRecord
 
 MAP, VEHICLE, LIDAR = "map", "base_link", "lidar"

@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
 from ...report.interval import Interval
+from ...safe_io.files import whole_file
 from ...safe_io.text_files import figure_words
-from ...scene.files import whole_file
 from ..geometry import PlanarBox, Route
 from ..rollout import Rollout, RolloutStep
 from ..vehicle import VehicleState, vehicle_box

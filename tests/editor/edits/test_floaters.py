@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gsrain_engine.editor.edits.floaters import FloaterRules, FloaterSearch
+from gsrain_engine.editor.edits.floaters import FloaterRules, search_floaters
 from gsrain_engine.editor.edits.gaussians import box_around
 from gsrain_engine.scene.flags import BitMask
 from gsrain_engine.scene.gaussians import Gaussians
+from gsrain_engine.scene.progress import run_to_end
 from gsrain_engine.scene.scene import Layer, Scene
 
 
@@ -27,10 +28,10 @@ SCENE = Scene("cloud", (Layer("cloud", cloud()), Layer("sky", cloud(), "sky")), 
 
 
 def found(scene, rules):
-    search = FloaterSearch(scene, rules)
-    fractions = [progress.fraction for progress in search.run()]
+    fractions = []
+    masks = run_to_end(search_floaters(scene, rules), lambda progress: fractions.append(progress.fraction))
     assert fractions == sorted(fractions) and set(fractions[-1:]) <= {1.0}
-    return {key: mask.indices.tolist() for key, (_, mask) in search.found.items()}
+    return {key: mask.indices.tolist() for key, (_, mask) in masks.items()}
 
 
 @pytest.mark.parametrize(

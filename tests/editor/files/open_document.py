@@ -1,7 +1,6 @@
 """Edits of an open document, a job that runs meanwhile, and waiting for their result."""
 
 import threading
-from concurrent.futures import wait
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from gsrain_engine.scene.progress import Progress
 def settle(editor):
     """Let background work end and take it in, without a live view."""
     for _ in range(4):
-        wait(editor.pending_files, timeout=60)
+        editor.background.wait(60)
         editor.tick(0.0)
         editor.apply(DrawResult(editor.render_input(96, 64), is_pending_ready=True))
 

@@ -77,7 +77,7 @@ def test_opening_does_not_wait_for_what_is_no_longer_wanted(editor, tmp_path, mo
     try:
         editor.files.open_now("slow")
         editor.files.open_now(str(tmp_path / "lane"))
-        editor.files.pending[1].result(timeout=30)
+        editor.background.tasks[1].future.result(timeout=30)
         editor.tick(0.0)
         editor.apply(DrawResult(editor.render_input(96, 64), is_pending_ready=True))
         assert editor.files.title == "lane"

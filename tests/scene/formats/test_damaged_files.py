@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gsrain_engine.scene.files import SceneFormatError
+from gsrain_engine.safe_io.errors import SceneFormatError
 from gsrain_engine.scene.formats.registry import FORMATS, read_gaussians
 from gsrain_engine.scene.gaussians import COEFFICIENTS_OF_DEGREE
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gsrain_engine.scene.files import SceneFormatError
+from gsrain_engine.safe_io.errors import SceneFormatError
 from gsrain_engine.scene.formats.registry import lost_in_file, read_gaussians
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from gsrain_engine.scene.formats.scene_folder import SCENE_FILE

@@ -8,7 +8,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from gsrain_engine.scene.files import SceneFormatError
+from gsrain_engine.safe_io.errors import SceneFormatError
 from gsrain_engine.scene.formats.scene_files import read_scene
 from gsrain_engine.scene.open import load_scene, scene_hash
 from realcar_vehicle import state, write_vehicle

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gsrain_engine.scene.files import SceneFormatError
+from gsrain_engine.safe_io.errors import SceneFormatError
 from gsrain_engine.scene.formats.registry import read_gaussians
 from gsrain_engine.scene.formats.scene_files import read_scene
 from gsrain_engine.scene.formats.spz import encode_spz

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from gsrain_engine.scene.files import SceneFormatError
+from gsrain_engine.safe_io.errors import SceneFormatError
 from gsrain_engine.scene.formats.compressed_ply import chunk_order
 from gsrain_engine.scene.formats.lod_file import read_lod_tree, write_lod_tree
 from gsrain_engine.scene.formats.ply import write_ply

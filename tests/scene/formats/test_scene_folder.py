@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gsrain_engine.safe_io.errors import SceneFormatError
 from gsrain_engine.scene.camera_path import CameraPath
-from gsrain_engine.scene.files import SceneFormatError
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.formats import scene_folder
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gsrain_engine.scene.files import SceneFormatError
+from gsrain_engine.safe_io.errors import SceneFormatError
 from gsrain_engine.scene.flags import UNMARKED, BitMask
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from gsrain_engine.scene.formats.scene_json import mask_from_text, mask_to_text, record_of
