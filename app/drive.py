@@ -21,9 +21,10 @@ from gsrain_engine.rain.wetness import with_wet_choice
 from gsrain_engine.render import export_settings
 from gsrain_engine.render.export_settings import Lod
 from gsrain_engine.render.level_of_detail import lod_cut
+from gsrain_engine.render.provenance import PictureProvenance
 from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.render.video import can_write_videos
-from gsrain_engine.report.numbers import provenance_lines, run_provenance, write_text
+from gsrain_engine.report.numbers import provenance_lines, run_provenance, write_provenance, write_text
 from gsrain_engine.report.page import write_report
 from gsrain_engine.safe_io.file_names import file_word, shortened
 from gsrain_engine.scene.open import STREET, load_sorted_scene, scene_hash, with_lod_trees
@@ -237,11 +238,14 @@ def drive(
             opened = opened if lod_cut(opened, lod) is None else with_lod_trees(opened)
             renderer = stack.enter_context(open_renderer(backend))
         runs: list[ScoredRun] = []
+        pictures: dict[str, PictureProvenance] = {}
         problem: str | None = None
         extinction = extinction_note(rains)
         for agent, each in product(agents, rains):
             simulation = Simulation(msgspec.structs.replace(test, rain=each), opened, agent.needs, renderer, lod=lod)
             problem = _drive(simulation, agent)
+            seen = simulation.pictures.items()
+            pictures |= {f"{agent.name}, {each.intensity_mm_h:g} mm/h, {name}": first for name, first in seen}
             rollout = msgspec.structs.replace(simulation.rollout(agent.name), scene_hash=hashed, software=software())
             if problem is not None and rollout.steps[-1].step == 0:  # no step was driven: nothing to score or to draw
                 break
@@ -253,7 +257,7 @@ def drive(
             raise ValueError(problem)
         facts = provenance_lines(run_provenance({}))  # the runs name their scene
         facts |= {"rain": extinction} if extinction else {}
-        written = write_drives(files, runs, opened, renderer, facts, lod, films=films)
+        written = write_drives(files, runs, opened, renderer, facts, lod, pictures, films=films)
         if rerun is not None:
             _write_rerun(rerun, runs[0], opened, renderer if opened.rigs else None, lod)
     print_lines(results_table(compare_drives(runs)).text)
@@ -387,20 +391,25 @@ def write_drives(
     renderer: Renderer | None,
     settings: Mapping[str, object],
     lod: Lod | None = None,
+    pictures: Mapping[str, PictureProvenance] | None = None,
     *,
     films: bool,
 ) -> list[str]:
     """Write all outputs of runs in one scene, with videos if it `films`. Returns the files' names.
 
     The renderer is for videos and for the images in bags of ROS 2. `settings` are listed in the report in addition to
-    those in the runs.
+    those in the runs; provenance.json has what the `pictures` that agents saw held, and those of the videos.
     """
     # Matplotlib loads slowly: import it only after the first drive.
     from gsrain_engine.simulation.metrics.figures import kinematics_figure, write_figure
     from gsrain_engine.simulation.metrics.report import drive_report_page
 
     files.folder.mkdir(parents=True, exist_ok=True)
-    written = [path for run in runs for path in _write_run(files, run, scene, renderer, lod, films)]
+    shown = dict(pictures or {})
+    written = [path for run in runs for path in _write_run(files, run, scene, renderer, lod, films, shown)]
+    if shown:
+        written.append(files.folder / "provenance.json")
+        write_provenance(files.folder, shown, written[-1])
     compared = compare_drives(runs)
     write_text(files.folder / "table.md", results_table(compared).markdown)
     metrics_table([run.metrics for run in runs]).write_csv(files.folder / "table.csv")
@@ -412,8 +421,9 @@ def write_drives(
 
 
 def _write_run(
-    files: DriveFiles, run: ScoredRun, scene: Scene, renderer: Renderer | None, lod: Lod | None, films: bool
-) -> list[Path]:
+    files: DriveFiles, run: ScoredRun, scene: Scene, renderer: Renderer | None, lod: Lod | None, films: bool,
+    shown: dict[str, PictureProvenance],
+) -> list[Path]:  # fmt: skip
     rollout, metrics = run.rollout, run.metrics
     assert rollout is not None
 
@@ -432,6 +442,7 @@ def _write_run(
         written.append(file(".xodr"))
     if renderer is not None and films:
         video = RolloutVideo(RolloutPlayback(rollout, scene), renderer, lod)
+        shown[file(".mp4").name] = video.provenance
         with progress_bar("Filming", len(video.times(files.fps))) as advance:
             for _ in render_rollout_video(file(".mp4"), video, files.fps):
                 advance()

@@ -22,12 +22,12 @@ from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.rain.streaks import visible_distance_m
 from gsrain_engine.rain.wetness import missing_wet_colors, with_wet_choice
-from gsrain_engine.render.export import export_frames, export_sequences, frame_numbers
+from gsrain_engine.render.export import export_frames, export_sequences, first_pictures, frame_numbers
 from gsrain_engine.render.export_settings import DEFAULT_SIZE_PX, ExportSettings, export_outputs
 from gsrain_engine.render.object_labels import LabelFormat
-from gsrain_engine.render.provenance import PictureProvenance, provenance_of
+from gsrain_engine.render.provenance import PictureProvenance
 from gsrain_engine.render.renderer import Renderer, RenderMode
-from gsrain_engine.render.sequence import FrameSequence, common_sky
+from gsrain_engine.render.sequence import FrameSequence
 from gsrain_engine.report.numbers import write_provenance
 from gsrain_engine.safe_io.errors import convert_checked
 from gsrain_engine.scene.camera import Camera, read_camera
@@ -170,11 +170,7 @@ def render(
         report = _record(frames, renderer, simulation.state_at(first_s), len(numbers))
         if json is not None:
             report |= _glass(sequences, numbers[max(report["frames"], 1) - 1])
-        sky = common_sky(renderer, sequences)
-        pictures = {
-            name: provenance_of(sequence.frame_input(sequence.shot(numbers[0]), sky, mode))
-            for name, sequence in sequences.items()
-        }
+        pictures = first_pictures(renderer, sequences, numbers[0], mode)
         report |= _extinction(simulation.frozen_at(first_s), next(iter(pictures.values())))
         labeled: list[Path] = []
         if labels is not None and (done := numbers[: report["frames"]]):

@@ -29,9 +29,11 @@ from ..rain.settings import RainSettings
 from ..rain.simulation import RainSimulation
 from ..render.cpu.splats import NEAR_M
 from ..render.opengl.shaders import ShaderSource
+from ..render.provenance import provenance_of
 from ..render.renderer import Renderer
 from ..render.sequence import FrameSequence, render_image
 from ..render.view import RenderView, rain_camera
+from ..report.numbers import write_provenance
 from ..report.result import JobResult
 from ..report.table import Table, columns
 from ..safe_io.files import whole_file
@@ -146,7 +148,7 @@ def publish_page(
     """Write a page as `write_page` does, and return its numbers; the figure is its first view."""
     contents = yield from write_page(renderer, scene, rain, sequence, path_name, output, duration_s)
     page_bytes, rates = output.stat().st_size, [state["intensity"] for state in contents.rain.states]
-    numbers = {
+    numbers: dict[str, Any] = {
         "bytes": page_bytes, "sog_bytes": len(contents.scene.sog), "cameras": len(contents.views),
         "intensities_mm_h": rates,
     }  # fmt: skip
@@ -155,14 +157,16 @@ def publish_page(
         f"{output}: {page_bytes / 1e6:.1f} MB, {length}, {len(rates)} intensities",
         f"not on the page: {', '.join(contents.missing)}",
     )
-    rows = [(name, value if isinstance(value, int) else len(value)) for name, value in numbers.items()]
-    table = Table(f"Page of {scene.name}", columns({"number of": "", "value": ","}), rows)
     first = contents.views[0]
+    shown = sequence.frame_input(first, sequence.sky(renderer))
+    numbers |= write_provenance(output, {"first view": provenance_of(shown)})
 
     def draw() -> UInt8[np.ndarray, "h w 3"]:
         with open_renderer("cpu") as own:
             return render_image(own, scene, rain, first.camera, first.time_s).to_uint8()
 
+    rows = [("bytes", page_bytes), ("bytes of the scene", len(contents.scene.sog)), ("cameras", len(contents.views))]
+    table = Table(f"Page of {scene.name}", columns({"number of": "", "value": ","}), rows)
     return JobResult(made=output, table=table, numbers=numbers, lines=lines, draw=draw)
 
 

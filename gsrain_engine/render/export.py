@@ -23,6 +23,7 @@ from .export_settings import DEFAULT_SIZE_PX, ExportSettings, Pass, export_files
 from .images import FrameWriter, open_frame_writer
 from .level_of_detail import lod_cut
 from .object_labels import draw_labels, label_legend
+from .provenance import PictureProvenance, provenance_of
 from .renderer import Frame, PendingImage, Renderer, RenderMode
 from .sequence import FrameSequence, RigCameraView, common_sky, find_rig_cameras
 
@@ -242,6 +243,17 @@ def export_sequences(
             projection=recording.projection, sky_scene=whole if recording.transparent else None,
         )  # fmt: skip
     return sequences
+
+
+def first_pictures(
+    renderer: Renderer, sequences: Mapping[str, FrameSequence], number: int, mode: RenderMode = "splats"
+) -> dict[str, PictureProvenance]:
+    """Return what the frame of a number holds, by camera."""
+    sky = common_sky(renderer, sequences)
+    return {
+        name: provenance_of(sequence.frame_input(sequence.shot(number), sky, mode))
+        for name, sequence in sequences.items()
+    }
 
 
 def merges_details(recording: ExportSettings, scene: Scene) -> bool:

@@ -16,6 +16,7 @@ from ..render.frame_input import FILTERS, CameraMemory, FrameInput, Mount, Quali
 from ..render.level_of_detail import LodCut
 from ..render.object_labels import draw_labels
 from ..render.passes.spray import has_spray
+from ..render.provenance import PictureProvenance, provenance_of
 from ..render.renderer import PendingImage, Renderer
 from ..render.sky_color import SkyColor, sky_color
 from ..render.view import RenderView
@@ -47,6 +48,8 @@ class RigRenderer:
         self._rainfall = RainSimulation.start(rain)
         self._sky: SkyColor | None = None
         self._memory = CameraMemory()
+        self.provenance: dict[str, PictureProvenance] = {}
+        """Of the first picture of each camera."""
         self._drive: list[_RigMotion] = []
 
     def views(
@@ -70,6 +73,8 @@ class RigRenderer:
             mount = Mount(self._memory, mounted.name, self._past(mounted), mounted.camera_to_ego[:3, :3])
             view = RenderView(camera, time_s, velocity)
             frame = FrameInput.of(scene, self._rainfall, self._sky, view, Quality(thinning=self._cut), mount=mount)
+            if mounted.name not in self.provenance:
+                self.provenance[mounted.name] = provenance_of(frame)
             with_depth = self._needs.depth and not has_spray(frame)  # spray has no depth of its own
             picture = draw(self._renderer, frame.changed(quality=Quality(with_depth=with_depth, thinning=self._cut)))
             depth = np.array(picture.frame().depth) if with_depth else None

@@ -15,6 +15,7 @@ from ..rain.settings import RainSettings
 from ..rain.simulation import RainSimulation
 from ..render.export_settings import Lod
 from ..render.level_of_detail import lod_cut
+from ..render.provenance import PictureProvenance
 from ..render.renderer import Renderer
 from ..scene.open import STREET, with_lod_trees
 from ..scene.scene import Actor, PoseTrack, Scene
@@ -99,6 +100,11 @@ class Simulation:
         self.end, self._steps, self._moment = None, [], self._start
         self._judge()
         return self.observation()
+
+    @property
+    def pictures(self) -> dict[str, PictureProvenance]:
+        """What the first picture of each camera held in this drive; empty for agents without cameras."""
+        return {} if self._pictures is None else dict(self._pictures.provenance)
 
     @property
     def seed(self) -> int:

@@ -18,6 +18,7 @@ from ..render.draw import draw, meter
 from ..render.export_settings import Lod
 from ..render.frame_input import CameraMemory, FrameInput, Mount, Quality
 from ..render.level_of_detail import lod_cut
+from ..render.provenance import provenance_of
 from ..render.renderer import PendingImage, Renderer
 from ..render.sky_color import sky_color
 from ..render.video import VideoWriter
@@ -79,7 +80,10 @@ class RolloutVideo:
         self._memory = CameraMemory()
         start, camera = played.scene(0.0), self._mounted.camera(played.rig_to_world(0.0)).pinhole
         self._sky = sky_color(renderer, start, camera, thinning=self._cut)
-        meter(renderer, self._frame(start, RenderView(camera, played.scene_time_s(0.0))))
+        first = self._frame(start, RenderView(camera, played.scene_time_s(0.0)))
+        self.provenance = provenance_of(first)
+        """Of the first camera image."""
+        meter(renderer, first)
 
     def times(self, fps: float) -> list[float]:
         """Return the times of the frames; the last one is held for a second."""

@@ -18,9 +18,10 @@ from msgspec import Struct, structs
 from ..backends import Backend, open_renderer
 from ..rain.simulation import RainSimulation
 from ..recolor.cached_colors import cached_wet_scene
-from ..render.export import export_frames, export_sequences, frame_numbers
+from ..render.export import export_frames, export_sequences, first_pictures, frame_numbers
 from ..render.label_export import write_object_labels
 from ..render.renderer import Renderer
+from ..report.numbers import write_json
 from ..safe_io.files import whole_folder
 from ..scene.camera import Camera
 from ..scene.camera_path import CameraPath
@@ -237,6 +238,8 @@ def _record(job: RenderJob, scene: Scene, cache: WorkerCache, folder: Path) -> N
     numbers = frame_numbers(recording, sequences)
     renderer = cache.renderer(job.backend)
     deque(export_frames(renderer, recording, sequences, numbers), maxlen=0)
+    pictures = first_pictures(renderer, sequences, numbers[0])
+    write_json(folder / "provenance.json", {name: msgspec.to_builtins(each) for name, each in pictures.items()})
     if job.labels is not None:
         deque(write_object_labels(renderer, job.labels, recording, sequences, numbers), maxlen=0)
 

@@ -13,11 +13,12 @@ from ...backends import open_renderer
 from ...rain.keyframes import keyframes_of, rain_of
 from ...rain.settings import RainSettings
 from ...rain.simulation import RainSimulation
-from ...render.export import export_frames, export_sequences, frame_numbers
+from ...render.export import export_frames, export_sequences, first_pictures, frame_numbers
 from ...render.export_settings import DEFAULT_SIZE_PX, ExportSettings
 from ...render.intensity_sheet import write_sheet
 from ...render.renderer import Renderer
 from ...render.sequence import FrameSequence
+from ...report.numbers import write_provenance
 from ...scene.camera_path import CameraPath
 from ...scene.formats.scene_folder import FileCache
 from ...scene.open import load_sorted_scene
@@ -104,9 +105,14 @@ def record_in_worker(folder: Path, recording: ExportSettings) -> Iterator[Progre
 
 
 def export_scene(renderer: Renderer, scene: Scene, recording: ExportSettings) -> Iterator[Progress]:
-    """Record a scene with the rain and the camera path that it is saved with; raises as `record_in_worker` does."""
+    """Record a scene with the rain and the camera path that it is saved with; raises as `record_in_worker` does.
+
+    NAME.provenance.json beside the recording says what its first picture holds.
+    """
     sequences = saved_sequences(scene, recording)
-    yield from export_frames(renderer, recording, sequences, frame_numbers(recording, sequences))
+    numbers = frame_numbers(recording, sequences)
+    yield from export_frames(renderer, recording, sequences, numbers)
+    write_provenance(recording.path, first_pictures(renderer, sequences, numbers[0]))
 
 
 def saved_sequences(scene: Scene, recording: ExportSettings) -> dict[str, FrameSequence]:
