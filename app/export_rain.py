@@ -17,7 +17,7 @@ from gsrain_engine.recordings.folders import FileCopies
 from gsrain_engine.recordings.rainy_recording import open_recording
 from gsrain_engine.recordings.session import check_copy, export_recording
 from gsrain_engine.render.export_settings import ExportSettings
-from gsrain_engine.report.result import JobResult
+from gsrain_engine.report.result import RunResult
 from gsrain_engine.scene.formats.registry import check_written_format
 from gsrain_engine.scene.open import load_sorted_scene
 from gsrain_engine.scene.scene import Scene
@@ -114,15 +114,8 @@ def export_rain(
     else:
         is_file = Path(source).is_file()
         check_writable(json, *([output] if is_file else []), folders=[] if is_file else [output])
-        copying = (
-            photos or PhotoOptions(),
-            scene,
-            wet,
-            lidar or RecordingLidar(),
-            key_frames_only,
-            FileCopies(hard_links),
-        )
-        done = _copy(Path(source), rain or RainOptions(), output, *copying)
+        options = rain or RainOptions(), photos or PhotoOptions(), lidar or RecordingLidar()
+        done = _copy(Path(source), output, scene, wet, *options, key_frames_only, FileCopies(hard_links))
     for line in done.lines:
         print(line)
     write_numbers(json, done.numbers)
@@ -138,7 +131,7 @@ def _copy(
     lidar: RecordingLidar,
     key_frames_only: bool,
     files: FileCopies,
-) -> JobResult[Path]:
+) -> RunResult[Path]:
     recording = open_recording(source, key_frames_only=key_frames_only)
     world = None if scene is None else load_sorted_scene(scene)
     place = world or Scene(recording.capture.name)

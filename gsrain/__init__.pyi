@@ -10,9 +10,9 @@ from .driving import drive as drive
 from .driving import load_scenario as load_scenario
 from .driving import read_rollout as read_rollout
 from .jobs import DetectionReport as DetectionReport
-from .jobs import JobResult as JobResult
 from .jobs import LidarReport as LidarReport
 from .jobs import RainShares as RainShares
+from .jobs import RunResult as RunResult
 from .jobs import SweepReport as SweepReport
 from .jobs import Table as Table
 from .jobs import attribute as attribute

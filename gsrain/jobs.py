@@ -39,7 +39,7 @@ from gsrain_engine.recordings.rainy_recording import open_recording
 from gsrain_engine.recordings.session import check_copy, export_recording
 from gsrain_engine.render.export import export_sequences
 from gsrain_engine.render.export_settings import DEFAULT_SIZE_PX, ExportSettings
-from gsrain_engine.report.result import JobResult as JobResult
+from gsrain_engine.report.result import RunResult as RunResult
 from gsrain_engine.report.table import Table as Table
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.camera_path import CameraPath
@@ -96,7 +96,7 @@ def export_rain(
     sensor: str = "64",
     hard_links: bool = False,
     progress: Report | None = None,
-) -> JobResult[Path]:
+) -> RunResult[Path]:
     """Write a rainy copy of a recording, or the Gaussians of the rain in a scene; `made` is its path.
 
     Args:
@@ -146,7 +146,7 @@ def publish(
     start: float = 0.0,
     seconds: float | None = None,
     progress: Report | None = None,
-) -> JobResult[Path]:
+) -> RunResult[Path]:
     """Write one web page with a scene, a path and its rain under a slider of intensities; `made` is its path.
 
     Args:
@@ -333,7 +333,7 @@ def evaluate_lidar(
     chosen: LidarSensor = open_sensor(sensor)
     written = None if folder is None else Path(folder)
     work = lidar_session(
-        _opened(source), chosen, rain or RainSettings(), settings, inputs=_inputs(source), sweeps=written
+        _opened(source), chosen, _checked_rain(rain, "lidar"), settings, inputs=_inputs(source), sweeps=written
     )
     return _run(work, progress)
 
@@ -353,7 +353,7 @@ def transfer(
     capture: Capture | None = None,
     progress: Report | None = None,
     **settings: Any,
-) -> JobResult[Path]:
+) -> RunResult[Path]:
     """Make views of a scene or of a capture rainy, in a folder that `recolor` and `reconstruct` take as images.
 
     Args:
@@ -388,7 +388,7 @@ def recolor(
     capture: Path | str | None = None,
     progress: Report | None = None,
     **settings: Any,
-) -> JobResult[Scene]:
+) -> RunResult[Scene]:
     """Solve a scene's wet colors for images; its geometry and its clear colors stay. `made` is the scene.
 
     Args:
@@ -423,7 +423,7 @@ def reconstruct(
     resume: bool = False,
     progress: Report | None = None,
     **settings: Any,
-) -> JobResult[Path]:
+) -> RunResult[Path]:
     """Fit Gaussians to a capture, and measure them on held-out views; `gr.load(result.made)` is the scene.
 
     Args:

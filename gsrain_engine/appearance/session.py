@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from ..datasets.capture import Capture
-from ..report.result import JobResult
+from ..report.result import RunResult
 from ..report.table import Cell, Table, columns
 from ..scene.progress import Progress
 from ..scene.scene import Scene
@@ -62,7 +62,7 @@ def source_views(source: Scene | Capture, choice: ViewChoice, capture: Capture |
 
 def transfer_views(
     opened: SourceViews, method: str, settings: TransferSettings, choice: ViewChoice, output: Path
-) -> Generator[Progress, None, JobResult[Path]]:
+) -> Generator[Progress, None, RunResult[Path]]:
     """Make views rainy, and write them into a folder that is a capture; OUTPUT/clear holds the original views.
 
     The figure of the result shows some views before and after. Raises ValueError for a method that is unknown or lacks
@@ -90,4 +90,4 @@ def transfer_views(
     made = f"{output}: {len(rows)} rainy views of {opened.name}, {opened.width_px} px wide, in {seconds:.1f} s"
     lines = (*left_out.sentences, *([] if network is None else [network.words]), made)
     table = Table(f"Rainy views of {opened.name}", columns({"view": "", "share of water": ".3f"}), rows)
-    return JobResult(made=output, table=table, numbers=numbers, lines=lines, draw=lambda: np.asarray(sheet.picture()))
+    return RunResult(made=output, table=table, numbers=numbers, lines=lines, draw=lambda: np.asarray(sheet.picture()))

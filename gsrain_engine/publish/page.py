@@ -34,7 +34,7 @@ from ..render.renderer import Renderer
 from ..render.sequence import FrameSequence, render_image
 from ..render.view import RenderView, rain_camera
 from ..report.numbers import write_provenance
-from ..report.result import JobResult
+from ..report.result import RunResult
 from ..report.table import Table, columns
 from ..safe_io.files import whole_file
 from ..scene.geometry import quaternions_from_matrices
@@ -144,7 +144,7 @@ def publish_page(
     path_name: str,
     output: Path,
     duration_s: float | None = None,
-) -> Generator[Progress, None, JobResult[Path]]:
+) -> Generator[Progress, None, RunResult[Path]]:
     """Write a page as `write_page` does, and return its numbers; the figure is its first view."""
     contents = yield from write_page(renderer, scene, rain, sequence, path_name, output, duration_s)
     page_bytes, rates = output.stat().st_size, [state["intensity"] for state in contents.rain.states]
@@ -167,7 +167,7 @@ def publish_page(
 
     rows = [("bytes", page_bytes), ("bytes of the scene", len(contents.scene.sog)), ("cameras", len(contents.views))]
     table = Table(f"Page of {scene.name}", columns({"number of": "", "value": ","}), rows)
-    return JobResult(made=output, table=table, numbers=numbers, lines=lines, draw=draw)
+    return RunResult(made=output, table=table, numbers=numbers, lines=lines, draw=draw)
 
 
 def left_out_of_page(scene: Scene) -> list[str]:

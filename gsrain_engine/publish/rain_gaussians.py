@@ -12,7 +12,7 @@ from ..render.export import export_sequences
 from ..render.export_settings import ExportSettings
 from ..render.sequence import render_image
 from ..render.view import rain_camera
-from ..report.result import JobResult
+from ..report.result import RunResult
 from ..report.table import Table, columns
 from ..scene.camera import Camera
 from ..scene.camera_path import CameraPath
@@ -25,7 +25,7 @@ from ..scene.transforms import flatten_scene, transform_gaussians, with_wetness_
 def export_rain_gaussians(
     scene: Scene, rain: RainSettings, viewpoint: Camera | CameraPath, output: Path, still: ExportSettings, *,
     with_scene: bool = False,
-) -> JobResult[Path]:  # fmt: skip
+) -> RunResult[Path]:  # fmt: skip
     """Write the Gaussians of the rain at one moment, in meters with -y upwards, as scenes are converted.
 
     They are made for one camera: what it does not see is left out, and haze is of the paper's Gaussians.
@@ -67,4 +67,4 @@ def export_rain_gaussians(
 
     rows = list(numbers.items())
     table = Table(f"Rain in {scene.name}", columns({"number of": "", "value": ",g"}), rows)
-    return JobResult(made=output, table=table, numbers=numbers, lines=(line,), draw=draw)
+    return RunResult(made=output, table=table, numbers=numbers, lines=(line,), draw=draw)

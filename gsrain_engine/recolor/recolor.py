@@ -16,7 +16,7 @@ from ..datasets.capture import Capture
 from ..evaluation.image_metrics import compare_images, psnr
 from ..report.charts import comparison_sheet
 from ..report.page import ReportCurve, RunReport
-from ..report.result import JobResult
+from ..report.result import RunResult
 from ..report.table import Table, columns
 from ..scene.progress import Progress, subprogress
 from ..scene.scene import Scene
@@ -216,7 +216,7 @@ class RecolorRun:
     """Of the capture."""
 
     @property
-    def result(self) -> JobResult[Scene]:
+    def result(self) -> RunResult[Scene]:
         """The scene with its numbers; the figure compares views, rendered on the left."""
         titled = {"view": "", "clear dB": ".2f", "mapped dB": ".2f", "recolored dB": ".2f", "trust": ""}
         rows = [
@@ -233,7 +233,7 @@ class RecolorRun:
                 "after the color map), in {seconds:.1f} s"
             ).format(**self.numbers)
         table, page = Table("Views", columns(titled), rows), self.report
-        return JobResult(
+        return RunResult(
             made=self.scene, table=table, numbers=self.numbers, lines=(*self.problems, line), page=page,
             draw=lambda: comparison_sheet(page.comparisons),
         )  # fmt: skip

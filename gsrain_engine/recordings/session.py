@@ -15,7 +15,7 @@ from ..rain.simulation import RainSimulation
 from ..render.photograph import light_words
 from ..render.renderer import Renderer
 from ..report.numbers import write_provenance
-from ..report.result import JobResult
+from ..report.result import RunResult
 from ..report.table import Table, columns
 from ..scene.progress import Progress
 from ..scene.scene import Scene
@@ -35,7 +35,7 @@ def export_recording(
     sensor: LidarSensor | None = None,
     full_intensity: float | None = None,
     files: FileCopies | None = None,
-) -> Generator[Progress, None, JobResult[Path]]:
+) -> Generator[Progress, None, RunResult[Path]]:
     """Write a copy of a recording in its own format, whose images and lidar are in rain.
 
     Args:
@@ -89,7 +89,7 @@ def export_recording(
     rows = [(name.replace("_", " "), value) for name, value in numbers.items()]
     table = Table(f"Rainy copy of {capture.name}", columns({"number of": "", "value": ",g"}), rows)
     numbers |= {**light, "cameras": list(capture.sensors)}
-    return JobResult(made=target, table=table, numbers=numbers, lines=tuple(lines), draw=pictures.draw)
+    return RunResult(made=target, table=table, numbers=numbers, lines=tuple(lines), draw=pictures.draw)
 
 
 def check_copy(recording: Recording, source: Path, target: Path) -> None:

@@ -88,7 +88,7 @@ class PhotoLight(NamedTuple):
 
     @property
     def words(self) -> str:
-        """What was done to it."""
+        """Words for it."""
         return f"{self.kind} (sun {self.sun:.2f})" if self.is_softened else self.kind
 
 

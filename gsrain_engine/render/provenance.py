@@ -44,7 +44,7 @@ class PictureProvenance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
     seed: int
     light: LightRecord
     photo_light: str | None = None
-    """What was done to the light of a photograph, such as `softened to overcast (sun 0.82)`; None for a scene."""
+    """Light of a photograph in words, such as `softened to overcast (sun 0.82)`; None for a scene."""
     distances: str
     """Distances of what the medium is in front of: those of the scene, measured, or assumed ones of a level road."""
     passes: tuple[str, ...]

@@ -18,8 +18,8 @@ Made = TypeVar("Made")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class JobResult(Generic[Made]):
-    """What a job has made, and its numbers."""
+class RunResult(Generic[Made]):
+    """Product of a job, and its numbers."""
 
     made: Made
     """Such as a scene, or the path of a file or folder."""

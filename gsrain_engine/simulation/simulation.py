@@ -103,7 +103,7 @@ class Simulation:
 
     @property
     def pictures(self) -> dict[str, PictureProvenance]:
-        """What the first picture of each camera held in this drive; empty for agents without cameras."""
+        """Provenance of the first picture of each camera in this drive; empty for agents without cameras."""
         return {} if self._pictures is None else dict(self._pictures.provenance)
 
     @property

@@ -21,7 +21,7 @@ from ..evaluation.lpips_weights import find_lpips_weights, read_lpips_weights
 from ..render.gsplat_build import GsplatBuildError, build_gsplat
 from ..report.charts import ImageComparison, comparison_sheet
 from ..report.page import ReportCurve, RunReport, write_report
-from ..report.result import JobResult
+from ..report.result import RunResult
 from ..report.table import Table, columns
 from ..safe_io.numpy_files import read_archive
 from ..scene.formats.scene_files import write_scene
@@ -404,7 +404,7 @@ def _perceived(lpips: Path | None, device: str) -> ImageDistance | None:
 _SMOOTHED_STEPS = 25  # smoothing window: each step uses another view, so single losses vary
 
 
-def reconstruction_result(result: TrainingReport, output: Path) -> JobResult[Path]:
+def reconstruction_result(result: TrainingReport, output: Path) -> RunResult[Path]:
     """Return the written scene with its numbers; the figure compares views, rendered on the left."""
     titled = columns({"view": "", "PSNR dB": ".2f", "exposed": ".2f", "SSIM": ".3f", "LPIPS": ".3f"})
     rows = [
@@ -421,7 +421,7 @@ def reconstruction_result(result: TrainingReport, output: Path) -> JobResult[Pat
         ).format(**numbers)
     made = f"{output}: {result.gaussians:,} Gaussians in {result.seconds:.0f} s"
     lines = (*result.capture.problems, f"Own body: {result.own_body.line}", line, made)
-    return JobResult(
+    return RunResult(
         made=output, table=Table("Views", titled, rows), numbers=numbers, lines=lines, page=page,
         draw=lambda: comparison_sheet(page.comparisons),
     )  # fmt: skip

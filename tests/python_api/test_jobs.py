@@ -44,7 +44,7 @@ def test_each_program_of_the_page_runs(place, tmp_path, monkeypatch, name):
     (result,) = (each for each in values.values() if hasattr(each, "save") and hasattr(each, "table"))
     written = result.save(f"numbers of {name}")
     assert all((place / f"numbers of {name}" / each).stat().st_size for each in written)
-    assert result.table.text and str(result.table) in result.table.text and "<table" in result.table._repr_html_()
+    assert result.table.text and str(result.table) in result.table.text and "<table" in result.table.html
     assert np.asarray(result.figure).std() > 1
 
 
