@@ -21,7 +21,7 @@ from gsrain_engine.evaluation.detection.detector import FunctionDetector, open_d
 from gsrain_engine.evaluation.detection.ground_truth import read_coco
 from gsrain_engine.evaluation.detection.report import DetectionReport as DetectionReport
 from gsrain_engine.evaluation.detection.report import RainShares as RainShares
-from gsrain_engine.evaluation.detection.run import DetectorProtocol
+from gsrain_engine.evaluation.detection.run import AnyDetector, DetectorProtocol, MatchingDetector
 from gsrain_engine.evaluation.detection.session import evaluate_detection as detection_session
 from gsrain_engine.evaluation.detection.settings import DetectionSettings
 from gsrain_engine.evaluation.detection.sources import DetectionSource
@@ -203,8 +203,9 @@ def evaluate_detection(
     Args:
         source: A scene, whose actors are to be found, or a capture, whose 3D boxes are; by value or by name.
         detectors: One or several: an ONNX file; a function of an image (H, W, 3; uint8, RGB) that returns boxes (n, 4;
-            left, top, right, bottom in pixels), class names and scores (0..1); or an object with the methods of
-            `gsrain_engine.evaluation.detection.run.DetectorProtocol`.
+            left, top, right, bottom in pixels), class names and scores (0..1); or an object with `name` and
+            `confidences(image, frame)`, which matches what it finds by itself, as boxes in space, and returns the
+            confidence of each object of the view by its id.
         rain: All of the rain but for its intensity and seed; None is the default.
         intensities: Rainfall intensities in mm/h; 0 is always included.
         seeds: Number of rains of each intensity.
@@ -251,10 +252,10 @@ _DETECTION_FIELDS = {
 """Fields of settings by argument, if their names differ."""
 
 
-def _detector(detector: Any, number: int) -> DetectorProtocol:
+def _detector(detector: Any, number: int) -> AnyDetector:
     if isinstance(detector, Path | str):
         return open_detector(Path(detector))
-    if isinstance(detector, DetectorProtocol):
+    if isinstance(detector, DetectorProtocol | MatchingDetector):
         return detector
     if callable(detector):
         return FunctionDetector(getattr(detector, "__name__", f"detector {number + 1}"), cast(Any, detector))
@@ -309,6 +310,7 @@ def evaluate_lidar(
     seeds: int = 5,
     sweeps: int = 1,
     wet_road: bool = True,
+    detector: Callable[..., Any] | None = None,
     folder: Path | str | None = None,
     progress: Report | None = None,
 ) -> LidarReport:
@@ -322,6 +324,8 @@ def evaluate_lidar(
         seeds: Number of rains of each intensity.
         sweeps: Number of turns, evenly over the drive or the capture.
         wet_road: Whether water on the road mirrors beams away, and vehicles throw spray.
+        detector: A function of a sweep (`points_m`, `intensities`, `origin_m`, `time_s`; in the world) that returns the
+            confidence of each object that it finds, by a name of yours: a 3D detector with its own matching.
         folder: Folder to write each sweep in rain to (.npz).
         progress: As in `export_rain`.
 
@@ -333,7 +337,13 @@ def evaluate_lidar(
     chosen: LidarSensor = open_sensor(sensor)
     written = None if folder is None else Path(folder)
     work = lidar_session(
-        _opened(source), chosen, _checked_rain(rain, "lidar"), settings, inputs=_inputs(source), sweeps=written
+        _opened(source),
+        chosen,
+        _checked_rain(rain, "lidar"),
+        settings,
+        inputs=_inputs(source),
+        sweeps=written,
+        detector=detector,
     )
     return _run(work, progress)
 

@@ -61,6 +61,34 @@ def test_results_are_those_of_the_commands(place, monkeypatch):
     assert report.plain["rows"] == told["rows"] and report.plain["scores"] == told["scores"]
 
 
+class InSpace:
+    """A detector that finds the nearest car only, and matches by itself."""
+
+    name = "in space"
+
+    def confidences(self, image, frame):
+        nearest = min(frame.truths, key=lambda each: each.distance_m)
+        return {nearest.id: image[..., 0].mean() / 255}
+
+
+def test_detectors_may_match_by_themselves(place, monkeypatch, tmp_path):
+    pytest.importorskip("pycocotools")
+    monkeypatch.chdir(place)
+    report = gr.evaluate_detection("street", InSpace(), intensities=(50,), seeds=2, frames=1, width=320)
+    by_object = {row.object: row.confidence for row in report.rows if row.picture == "rainy"}
+    assert by_object["near"] > 0 and by_object["far"] == 0
+    clear = report.plain["scores"][0]
+    assert clear["map"]["mean"] is None and clear["iou"]["mean"] is None and clear["confidence"]["mean"] > 0
+    assert "report.html" in report.save(tmp_path) and "NaN" not in (tmp_path / "detection.json").read_text()
+
+    def points_ahead(sweep):
+        return {"ahead": float(np.mean(sweep.points_m[:, 0] > sweep.origin_m[0]))}
+
+    lidar = gr.evaluate_lidar("street", sensor="32", intensities=(0, 12), seeds=2, detector=points_ahead)
+    assert [row[:2] for row in lidar.tables[-1].rows] == [(0, "ahead"), (12, "ahead")]
+    assert len(lidar.plain["objects"]) == 4 and 0 < lidar.plain["objects"][0]["confidences"]["ahead"] <= 1
+
+
 def test_cameras_shift_along_their_own_axes():
     camera = gr.home_camera(boxy_scene())
     right, ahead = (camera.camera_to_world[:3, k] for k in (0, 2))

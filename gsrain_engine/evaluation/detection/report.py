@@ -124,7 +124,7 @@ class DetectionReport:
             "finds_nothing": self.silent,
             "scores": [summary.plain(each) for each in self.scores],
             "recall_by_distance": [summary.plain(each) for each in self.distances],
-            "rows": [row.plain() for row in self.rows],
+            "rows": finite_numbers([row.plain() for row in self.rows]),
         }
 
     def save(self, folder: Path | str) -> list[str]:

@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import cache, partial
+from math import nan
 from pathlib import Path
 from typing import Any, BinaryIO, Literal, NamedTuple, Protocol, runtime_checkable
 
@@ -51,6 +52,23 @@ class DetectorProtocol(Protocol):
         ...
 
 
+@runtime_checkable
+class MatchingDetector(Protocol):
+    """Interface of detectors that match what they find by themselves, such as those of boxes in space."""
+
+    @property
+    def name(self) -> str: ...
+
+    def confidences(self, image: UInt8[np.ndarray, "h w 3"], frame: "EvaluatedFrame") -> Mapping[str, float]:
+        """Confidence (0..1) of each object of a view that is found in an image (RGB), by its id; others are missed.
+
+        `frame` has the objects (`truths`), and the camera in the world and the time of the view (`shot`).
+        """
+        ...
+
+
+AnyDetector = DetectorProtocol | MatchingDetector
+
 # Conditions
 
 Kind = Literal["original", "clear", "rainy"]  # original photograph; the scene without rain; the scene in rain
@@ -92,6 +110,8 @@ class DetectionResult:
     """Without those that match an ignored object."""
     not_named: tuple[LabeledObject, ...] = ()
     """Evaluable objects of classes that the detector can't name, such as a sign."""
+    has_boxes: bool = True
+    """False for a detector that has matched by itself: without boxes there is no overlap and no average precision."""
 
 
 # Frames and images
@@ -201,7 +221,7 @@ _MAX_RAINS = 256  # number of rains kept ready
 
 def evaluate_images(
     pictures: ConditionRenderer,
-    detectors: Sequence[DetectorProtocol],
+    detectors: Sequence[AnyDetector],
     frames: Sequence[EvaluatedFrame],
     trials: Sequence[Condition],
     memory: "ResultCache | None" = None,
@@ -214,11 +234,28 @@ def evaluate_images(
             for each in detectors:
                 judgement = None if memory is None else memory.known(each.name, frame, trial)
                 if judgement is None:
-                    judgement = evaluate_detections(each.name, frame, trial, each.detect(take()), each.classes)
+                    judgement = _judged(each, frame, trial, take())
                     if memory is not None:
                         memory.keep(judgement, frame)
                 judgements[each.name] = judgement
             yield EvaluatedImage(frame, trial, judgements, take)
+
+
+def _judged(
+    detector: AnyDetector, frame: EvaluatedFrame, trial: Condition, image: UInt8[np.ndarray, "h w 3"]
+) -> DetectionResult:
+    if not isinstance(detector, MatchingDetector):
+        return evaluate_detections(detector.name, frame, trial, detector.detect(image), detector.classes)
+    found = detector.confidences(image, frame)
+    truths = tuple(each for each in frame.truths if each.counts)
+    wrong = next((value for value in found.values() if not 0 <= value <= 1), None)
+    if wrong is not None:
+        raise ValueError(f"{detector.name}: a confidence of {wrong}, expected 0 to 1")
+    matches: list[ObjectMatch] = []
+    for truth in truths:
+        own = float(found.get(truth.id, 0.0))
+        matches.append(ObjectMatch(own, nan, own, nan, truth.class_name if own > 0 else None, None))
+    return DetectionResult(detector.name, trial, frame.name, truths, tuple(matches), (), has_boxes=False)
 
 
 def evaluate_detections(

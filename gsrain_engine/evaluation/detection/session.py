@@ -26,9 +26,9 @@ from .figures import detection_sheet
 from .report import PACKAGES, DetectionReport, SampleView, Sheet, detection_report
 from .run import (
     FINISHED_FILE,
+    AnyDetector,
     Condition,
     DetectionResult,
-    DetectorProtocol,
     EvaluatedImage,
     RainVariant,
     ResultCache,
@@ -44,7 +44,7 @@ logger = logging.getLogger("gsrain")
 def evaluate_detection(
     renderer: Renderer,
     source: DetectionSource,
-    detectors: Sequence[DetectorProtocol],
+    detectors: Sequence[AnyDetector],
     rain: RainSettings,
     settings: DetectionSettings,
     *,
@@ -110,7 +110,7 @@ def evaluate_detection(
     )
 
 
-def _check_names(detectors: Sequence[DetectorProtocol]) -> None:
+def _check_names(detectors: Sequence[AnyDetector]) -> None:
     """Raise ValueError if there is none, or two have one name."""
     names = [detector.name for detector in detectors]
     if not names:
@@ -120,7 +120,7 @@ def _check_names(detectors: Sequence[DetectorProtocol]) -> None:
         raise ValueError(f"detector: two are called {doubled}; rows are told apart by that name")
 
 
-def _described(detector: DetectorProtocol) -> dict[str, str]:
+def _described(detector: AnyDetector) -> dict[str, str]:
     """Return file and hash of a detector; of one of Python, its type."""
     if isinstance(detector, Detector):
         return {"file": detector.file.name, "sha256": file_sha256(detector.file)}
@@ -135,7 +135,7 @@ def _rising(intensities: Iterable[float]) -> tuple[float, ...]:
 
 
 def _open_cache(
-    folder: Path, source: DetectionSource, views: EvaluatedViews, detectors: Sequence[DetectorProtocol], backend: str
+    folder: Path, source: DetectionSource, views: EvaluatedViews, detectors: Sequence[AnyDetector], backend: str
 ) -> ResultCache:
     """Open the finished results in a folder, of which those of an earlier run that are still valid are reused."""
     inputs = {
@@ -150,7 +150,7 @@ def _open_cache(
     return ResultCache(folder / FINISHED_FILE, inputs, {each.name: _fingerprint(each) for each in detectors})
 
 
-def _fingerprint(detector: DetectorProtocol) -> str:
+def _fingerprint(detector: AnyDetector) -> str:
     """Return a text that differs for detectors that may find something else."""
     if not isinstance(detector, Detector):
         raise ValueError(f"folder: finished results are kept for detectors of files, which {detector.name} is not")

@@ -3,6 +3,7 @@
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
+from math import nan
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from ...report.interval import FEW_OBJECTS, Interval
 from ...report.table import Column, Table, columns, table_of
 from ...safe_io.files import whole_file
 from .ground_truth import is_same_class
-from .metrics import DistanceRecall, Robustness, average_precision, recall_by_distance, robustness
+from .metrics import AveragePrecision, DistanceRecall, Robustness, average_precision, recall_by_distance, robustness
 from .run import DetectionResult, Kind, ObjectRow
 
 FOUND_FROM = 0.25  # confidence from which an object counts as found in the recalls
@@ -80,6 +81,8 @@ def scores(
             continue
         precision = [
             average_precision([each.truths for each in images], [each.detections for each in images])
+            if all(each.has_boxes for each in images)
+            else AveragePrecision(nan, nan)
             for images in by_seed.values()
         ]
         bases: list[_Weather] = [(weather[0], each, 0.0) for each in _WITHOUT_RAIN[weather[1]]]

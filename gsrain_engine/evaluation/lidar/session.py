@@ -1,7 +1,7 @@
 """An evaluation of a lidar in rain, from its source to its report: turns, rains, counts, tables, figure."""
 
 import math
-from collections.abc import Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -12,7 +12,7 @@ import numpy as np
 from msgspec import Meta
 from PIL import Image
 
-from ...datasets.capture import Capture
+from ...datasets.capture import Capture, LidarSweep
 from ...rain.calibration import load_calibration
 from ...rain.properties import extinction_note
 from ...rain.settings import HEAVIEST_MM_H, RainSettings
@@ -32,6 +32,10 @@ from .scan import Answer, LidarTurn, capture_turns, scene_turns, write_sweep
 from .sensor import SENSORS, LidarSensor
 
 _COMMANDS = "evaluate lidar"
+
+
+LidarDetector = Callable[[LidarSweep], Mapping[str, float]]
+"""Takes a sweep in the world (meters, z up) and returns the confidence (0..1) of each object that it finds, by name."""
 
 
 class LidarSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -81,6 +85,7 @@ def evaluate_lidar(
     estimates_range: bool = True,
     inputs: Mapping[str, str] | None = None,
     sweeps: Path | None = None,
+    detector: LidarDetector | None = None,
 ) -> Generator[Progress, None, "LidarReport"]:
     """Scan a source in rains of several intensities and seeds.
 
@@ -93,6 +98,7 @@ def evaluate_lidar(
         estimates_range: Take the range of a capture's sensor from its sweeps instead of the sensor's.
         inputs: Hashes of what was read, for the report.
         sweeps: Folder to write each sweep in rain to (.npz).
+        detector: Function that finds objects in sweeps.
 
     Raises:
         ValueError: For a source without lidar or drive, and an unknown calibration.
@@ -105,12 +111,15 @@ def evaluate_lidar(
     count, number = turns_there * len(intensities) * settings.seeds, 0
     by_intensity: dict[float, list[RainRunCounts]] = {}
     strongest: RainRun | None = None
+    found: list[tuple[float, int, str, Mapping[str, float]]] = []
     for turn in turns:
         runs = rain_runs(
             turn, rain, intensities, range(settings.seeds), answer=settings.answer, wet_road=settings.wet_road
         )
         for run in runs:
             intensity = run.counts.state.intensity_mm_h
+            if detector is not None:
+                found.append((intensity, run.counts.seed, run.turn.name, detector(run.rainy.sweep)))
             if sweeps is not None:
                 name = f"{file_word(run.turn.name)}_rain{intensity:g}_seed{run.counts.seed}.npz"
                 write_sweep(sweeps / name, run.rainy)
@@ -133,7 +142,7 @@ def evaluate_lidar(
         "extinction": note,
         **run_provenance(inputs or {}, ("numba",)),
     }
-    return LidarReport(by_intensity, strongest, facts)
+    return LidarReport(by_intensity, strongest, facts, found)
 
 
 def _turns(
@@ -185,6 +194,8 @@ class LidarReport:
     """The first turn in the heaviest rain, with its points."""
     facts: Mapping[str, Any] = field(repr=False)
     """Settings and provenance."""
+    found: Sequence[tuple[float, int, str, Mapping[str, float]]] = ()
+    """Intensity, seed and turn of each sweep, with what a detector has found in it."""
 
     @property
     def table(self) -> Table:
@@ -193,8 +204,9 @@ class LidarReport:
 
     @property
     def tables(self) -> tuple[Table, ...]:
-        """All returns, and the shares that are kept by range."""
-        return self.table, range_table(self.by_intensity)
+        """All returns, the shares that are kept by range, and the confidence of objects if a detector has looked."""
+        objects = [objects_table(self.found)] if self.found else []
+        return self.table, range_table(self.by_intensity), *objects
 
     @property
     def figure(self) -> Image.Image:
@@ -215,7 +227,12 @@ class LidarReport:
     def plain(self) -> dict[str, Any]:
         """Values for JSON."""
         sensor = msgspec.to_builtins(self.strongest.turn.sensor)
-        return {**self.facts, "sensor": sensor, "rows": [_row(run) for run in self._runs]}
+        objects = [
+            {"intensity_mm_h": intensity, "seed": seed, "turn": turn, "confidences": dict(own)}
+            for intensity, seed, turn, own in self.found
+        ]
+        found = {"objects": objects} if objects else {}
+        return {**self.facts, "sensor": sensor, "rows": [_row(run) for run in self._runs], **found}
 
     @property
     def _runs(self) -> list[RainRunCounts]:
@@ -304,3 +321,14 @@ def range_table(by_intensity: Mapping[float, Sequence[RainRunCounts]]) -> Table:
         kept, clear = (np.sum([getattr(run.tally, name) for run in runs], axis=0) for name in ("kept", "clear"))
         rows.append((intensity, *(float(a / b) if b else None for a, b in zip(kept, clear, strict=True))))
     return Table("Kept returns, by range", columns({"mm/h": "g"} | dict.fromkeys(ends, ".1%")), rows)
+
+
+def objects_table(found: Sequence[tuple[float, int, str, Mapping[str, float]]]) -> Table:
+    """Return the confidence of each object by intensity, over seeds and turns; missed ones count as 0."""
+    names = list(dict.fromkeys(name for *_, own in found for name in own))
+    rows: list[tuple[Cell, ...]] = []
+    for intensity in dict.fromkeys(each[0] for each in found):
+        sweeps = [own for other, _, _, own in found if other == intensity]
+        rows += [(intensity, name, Interval.spread([own.get(name, 0.0) for own in sweeps], "runs")) for name in names]
+    caption = "Confidence of a detector, misses as 0; means of the runs of each intensity."
+    return Table("Objects", columns({"mm/h": "g", "object": "", "confidence": ".3f"}), rows, caption)
