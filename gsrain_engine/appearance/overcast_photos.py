@@ -13,6 +13,7 @@ from ..datasets.geometry import scaled_camera
 from ..fields import option_names
 from ..rain.settings import RainSettings
 from ..rain.simulation import RainSimulation
+from ..rain.wetness import SOFTENED_ABOVE_MM_H
 from ..render.guided_filter import color_guided_fit, guided_fit
 from ..render.photograph import PhotoLight, maps_between
 from ..scene.camera import Camera
@@ -37,9 +38,6 @@ from .wet_look.settings import WetSettings
 Colors = UInt8[np.ndarray, "h w 3"]
 Flags = Bool[np.ndarray, "h w"]
 
-SOFTENED_ABOVE_MM_H = 2.5
-"""Intensity above which the light is softened: that of moderate rain (American Meteorological Society, Glossary of
-Meteorology). The sun may shine through a lighter one."""
 _MIN_SUN = 0.1  # least confidence in the sun with which light is softened
 _MIN_SKY = 0.001  # least share of the picture that is certain sky
 

@@ -22,6 +22,10 @@ SOAKING_DEPTH_MM = 0.05
 OVERCAST_FROM_MM_H, OVERCAST_MM_H = 0.3, 0.5
 """Intensity above which the sky closes, and from which it is closed. Below, rain dries where it falls."""
 
+SOFTENED_ABOVE_MM_H = 2.5
+"""Intensity above which the light of photographs is softened: that of moderate rain (American Meteorological Society,
+Glossary of Meteorology). The sun may shine through a lighter one."""
+
 DEPTH_EXPONENT = 0.59
 """Exponent of the rain rate in the depth of water on a road (Gallaway et al. 1979)."""
 _THIRDS = 60

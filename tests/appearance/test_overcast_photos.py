@@ -7,11 +7,12 @@ import pytest
 
 from appearance.sunny_street import COLUMNS, HEIGHT, LINE, ROAD, ROWS, SHADOW, SKY, capture_of, street_photo
 from gsrain_engine.appearance.capture_photos import CapturePhotos
-from gsrain_engine.appearance.overcast_photos import SOFTENED_ABOVE_MM_H, whole_sky
+from gsrain_engine.appearance.overcast_photos import whole_sky
 from gsrain_engine.datasets.capture import Capture
 from gsrain_engine.rain.keyframes import RainKeyframe, RainKeyframes
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import RainSimulation
+from gsrain_engine.rain.wetness import SOFTENED_ABOVE_MM_H
 from gsrain_engine.scene.lens import Lens
 
 RAIN = RainSettings(intensity_mm_h=8.0, streaks=False, haze="none")

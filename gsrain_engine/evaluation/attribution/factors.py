@@ -7,9 +7,8 @@ from typing import Literal, NamedTuple
 
 from msgspec import structs
 
-from ...appearance.overcast_photos import SOFTENED_ABOVE_MM_H
 from ...rain.settings import RainSettings
-from ...rain.wetness import OVERCAST_MM_H, wetness
+from ...rain.wetness import OVERCAST_MM_H, SOFTENED_ABOVE_MM_H, wetness
 from ...render.passes import registry
 from ...render.passes.base import Factor
 from ...scene.open import is_built_in_street
