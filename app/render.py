@@ -166,7 +166,7 @@ def render(
     lock_outputs(*outputs)
     first_s = next(iter(sequences.values())).time_s(numbers[0])
     with open_renderer(backend) as renderer:
-        frames = export_frames(renderer, export, sequences, numbers, look=mode)
+        frames = export_frames(renderer, export, sequences, numbers, mode=mode)
         report = _record(frames, renderer, simulation.state_at(first_s), len(numbers))
         if json is not None:
             report |= _glass(sequences, numbers[max(report["frames"], 1) - 1])

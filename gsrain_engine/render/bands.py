@@ -48,7 +48,7 @@ class PictureBands:
         rain: RainFrame | None = None,
         *,
         with_depth: bool = False,
-        look: RenderMode = "splats",
+        mode: RenderMode = "splats",
         mirror: Mirror | LensMirror | None = None,
     ) -> None:
         """Draw and read a picture as `Renderer.draw` does; `camera` has all samples.
@@ -64,7 +64,7 @@ class PictureBands:
                 reflected = replace(mirror, first_row=mirror.first_row - round(SCALES[1] * top))
             else:
                 reflected = mirror
-            self._renderer.draw(parts, band, falling, with_depth=with_depth, look=look, mirror=reflected)
+            self._renderer.draw(parts, band, falling, with_depth=with_depth, mode=mode, mirror=reflected)
             frame = self._renderer.read()
             frames.append(replace(frame, rgba=_averaged(frame.rgba, self._side)))
         if len(frames) == 1:

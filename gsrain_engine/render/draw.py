@@ -40,7 +40,7 @@ def _composite(frame: FrameInput, parts: FrameParts) -> Renderer | PictureBands:
         source, rain = quality.bands or renderer, parts.rain
         if rain is not None and frame.photograph is not None:
             rain = without_medium(rain)
-        source.draw(parts.items, camera, rain, with_depth=quality.with_depth, look=quality.mode, mirror=mirror)
+        source.draw(parts.items, camera, rain, with_depth=quality.with_depth, mode=quality.mode, mirror=mirror)
         return source
 
     def behind() -> list[DrawItem]:

@@ -39,7 +39,7 @@ def export_frames(
     sequences: Mapping[str, FrameSequence],
     numbers: Sequence[int],
     *,
-    look: RenderMode = "splats",
+    mode: RenderMode = "splats",
 ) -> Iterator[Progress]:
     """Render and write frames by their numbers; yields progress with the remaining time after each.
 
@@ -76,9 +76,9 @@ def export_frames(
                             "depth" in passes,
                         )
                         if writer.takes_bytes:
-                            frame = sequence.request(renderer, number, rain_sky, look=look)
+                            frame = sequence.request(renderer, number, rain_sky, mode=mode)
                         else:
-                            frame = sequence.frame(renderer, number, rain_sky, with_depth=with_depth, look=look)
+                            frame = sequence.frame(renderer, number, rain_sky, with_depth=with_depth, mode=mode)
                     ahead.append(_DrawnFrame(number, writer, frame, labels))
                 written = [each.write() for each in drawn]
             except OSError as error:

@@ -139,12 +139,12 @@ class Renderer(Protocol):
         rain: RainFrame | None = None,
         *,
         with_depth: bool = False,
-        look: RenderMode = "splats",
+        mode: RenderMode = "splats",
         mirror: Mirror | LensMirror | None = None,
     ) -> None:
         """Draw parts and rain as one depth-ordered compositing; `read` returns the image.
 
-        `camera` is in the world (meters). Depth is the scene's own, without rain. `look` selects another render mode,
+        `camera` is in the world (meters). Depth is the scene's own, without rain. `mode` selects another render mode,
         without rain. The visible water on the parts, their `film`, adds what it reflects of a `mirror`.
         """
         ...

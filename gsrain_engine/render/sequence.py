@@ -147,7 +147,7 @@ class FrameSequence:
         sky: SkyColor | None,
         *,
         with_depth: bool = False,
-        look: RenderMode = "splats",
+        mode: RenderMode = "splats",
         face: int | None = None,
     ) -> Frame:
         """Render a frame; `sky=None` omits the rain. Depth is the scene's at the frame's time, one sample per pixel.
@@ -157,13 +157,13 @@ class FrameSequence:
         """
         if self.projection != "perspective" and face is None:
             faces = range(len(views_of(self.shot(number), self.projection)))
-            frames = [self.frame(renderer, number, sky, with_depth=with_depth, look=look, face=each) for each in faces]
+            frames = [self.frame(renderer, number, sky, with_depth=with_depth, mode=mode, face=each) for each in faces]
             return compose(frames, self.projection, self.width, self.height)
 
         middle, shots, side = self.shot(number), self.shots(number), self.supersampling
         if face is not None:
             middle, *shots = (views_of(shot, self.projection)[face] for shot in (middle, *shots))
-        whole = self.frame_input(middle, sky, look)
+        whole = self.frame_input(middle, sky, mode)
         has_own_depth = with_depth and len(shots) == side == 1 and not has_spray(whole)
         filters = ()
         if face is None:
@@ -223,20 +223,20 @@ class FrameSequence:
         return replace(frame, rgba=np.concatenate([np.minimum(color, alpha), alpha], axis=-1))
 
     def image(
-        self, renderer: Renderer, number: int, sky: SkyColor | None, *, look: RenderMode = "splats"
+        self, renderer: Renderer, number: int, sky: SkyColor | None, *, mode: RenderMode = "splats"
     ) -> UInt8[np.ndarray, "h w 3"]:
         """Render a frame as bytes, those of `frame(...).to_uint8()`; one sample is converted before it is read back."""
-        return self.request(renderer, number, sky, look=look)()
+        return self.request(renderer, number, sky, mode=mode)()
 
     def request(
-        self, renderer: Renderer, number: int, sky: SkyColor | None, *, look: RenderMode = "splats"
+        self, renderer: Renderer, number: int, sky: SkyColor | None, *, mode: RenderMode = "splats"
     ) -> PendingImage:
         """Draw a frame as `image` does, and start to read it back: others can be drawn meanwhile."""
         shot = self.shot(number)
         is_composed = self.motion_blur > 1 or self.supersampling > 1 or self.projection != "perspective"
         if is_composed or not has_one_band(shot.camera):
-            return self.frame(renderer, number, sky, look=look).to_uint8
-        whole = self.frame_input(shot, sky, look)
+            return self.frame(renderer, number, sky, mode=mode).to_uint8
+        whole = self.frame_input(shot, sky, mode)
         self._meter(renderer, whole)
         return draw(renderer, whole).request_uint8()
 

@@ -253,7 +253,7 @@ def test_the_sky_has_the_same_color(open_kind):
 def test_every_look_agrees(open_kind, kind, look):
     """But for pixels where a threshold falls to one side here and to the other there."""
     first, second = (
-        drawn(each, small_scene().parts(), camera=small_shot().camera, look=look).rgba
+        drawn(each, small_scene().parts(), camera=small_shot().camera, mode=look).rgba
         for each in (open_kind(kind), CpuRenderer())
     )
     assert np.isfinite(first).all()

@@ -162,7 +162,7 @@ def test_floats_are_without_the_sensor_and_bytes_with_it(tmp_path, sensor_file):
     own, other = (each.frame(renderer, 0, sky, with_depth=True) for each in (sequence(rain), plain))
     assert np.array_equal(own.rgba, other.rgba) and np.array_equal(own.depth, other.depth)
     assert not np.array_equal(own.to_uint8(), other.to_uint8())
-    looks = [each.image(renderer, 0, None, look="depth") for each in (sequence(rain), plain)]
+    looks = [each.image(renderer, 0, None, mode="depth") for each in (sequence(rain), plain)]
     assert np.array_equal(*looks)
 
 

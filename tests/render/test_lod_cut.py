@@ -129,7 +129,7 @@ def test_an_export_draws_a_cut_except_with_depth(monkeypatch: pytest.MonkeyPatch
         (sequence,) = export_sequences(settings, scene, simulation, CAMERA, in_scene_time=False).values()
         counts = drawn.setdefault(lod, [])
         for with_depth, mode in ((False, "splats"), (True, "splats"), (False, "opacity")):
-            sequence.frame(renderer, 0, None, with_depth=with_depth, look=mode)
+            sequence.frame(renderer, 0, None, with_depth=with_depth, mode=mode)
             counts.append(renderer.statistics.gaussians)
     assert drawn["off"] == [scene.gaussian_count] * 3
     assert drawn["pixel"][0] < 400 and drawn["pixel"][1:] == drawn["off"][1:]

@@ -159,11 +159,11 @@ def marked_scene():
 def test_back_ends_agree_on_marked_scenes(open_kind, kind, look):
     parts = marked_scene().parts(1.0, selection=True)
     assert all(part.left_out and part.selected for part in parts)
-    first, second = (drawn(each, parts, look=look) for each in (open_kind(kind), CpuRenderer()))
+    first, second = (drawn(each, parts, mode=look) for each in (open_kind(kind), CpuRenderer()))
     assert psnr_db(first, second) > (60 if look == "splats" else 35)
     for name in ("left_out", "selected"):
         unmarked = [part._replace(**{name: None}) for part in parts]
-        assert psnr_db(drawn(CpuRenderer(), unmarked, look=look), second) < 35
+        assert psnr_db(drawn(CpuRenderer(), unmarked, mode=look), second) < 35
 
 
 # In OpenGL

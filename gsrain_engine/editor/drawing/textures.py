@@ -254,8 +254,8 @@ def compile_kernels() -> None:
         renderer.draw(parts, camera, RainSimulation.start(rain).frame(0.0, view))
     _draw_water(renderer)
     sort_into_lod_order(one)
-    for look in get_args(RenderMode):
-        renderer.draw(parts, camera, look=look)
+    for mode in get_args(RenderMode):
+        renderer.draw(parts, camera, mode=mode)
     mark_kernels()
 
 

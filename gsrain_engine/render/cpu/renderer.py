@@ -71,23 +71,23 @@ class CpuRenderer:
         rain: RainFrame | None = None,
         *,
         with_depth: bool = False,
-        look: RenderMode = "splats",
+        mode: RenderMode = "splats",
         mirror: Mirror | LensMirror | None = None,
     ) -> None:
         stages = {"project": 0.0, "sort": 0.0, "draw": 0.0}
         self.statistics = RenderStatistics(sum(part.drawn_count for part in parts), stages_ms=stages)
         self.checkpoint()
         falling, lit, medium = list[DrawItem](), None, None
-        if rain is not None and look == "splats":
+        if rain is not None and mode == "splats":
             falling, lit, medium = self._falling(rain), rain.lamp_light if rain.is_linear else None, rain.medium
         with timed(stages, "project"):
             flags = [*[None] * len(parts), *(np.ones(each.drawn_count, np.bool_) for each in falling)]
             held = range(len(parts), len(parts) + (rain is not None and len(rain.lit_streaks) > 0)) if falling else ()
             splats = project(
-                [*parts, *falling], camera, flags, as_points=look == "points", caches=self._caches, held=held
+                [*parts, *falling], camera, flags, as_points=mode == "points", caches=self._caches, held=held
             )
             self._caches.release_unused()
-            splats = _color_by_mode(look, splats, parts, camera)
+            splats = _color_by_mode(mode, splats, parts, camera)
         if rain is not None and medium is not None:
             with timed(stages, "medium"):
                 dim_by_medium(splats, camera, medium, is_linear=rain.is_linear)
@@ -108,7 +108,7 @@ class CpuRenderer:
                 self._frame = Frame(rgba, expected(weighted, weight, MIN_WEIGHT) if with_depth else None)
             else:
                 if rain is None or not falling:
-                    self._frame = _draw_mode(look, splats, tiles, film, with_depth=with_depth)
+                    self._frame = _draw_mode(mode, splats, tiles, film, with_depth=with_depth)
                 else:
                     self._frame = _draw_behind_veil(splats, order, tiles, rain, film, with_depth=with_depth)
                 if medium is not None:
@@ -183,23 +183,23 @@ class CpuRenderer:
 # Drawing
 
 
-def _draw_mode(look: RenderMode, splats: Splats, tiles: TileLists, film: Film | None, *, with_depth: bool) -> Frame:
+def _draw_mode(mode: RenderMode, splats: Splats, tiles: TileLists, film: Film | None, *, with_depth: bool) -> Frame:
     """Draw a scene without rain; depth is blended from all splats, in any render mode."""
     depth = None
     rgba = np.empty((tiles.height, tiles.width, 4), np.float32)
-    if with_depth or look not in ("ellipsoids", "overdraw"):
+    if with_depth or mode not in ("ellipsoids", "overdraw"):
         if film is None:
             rgba, weighted = composite(splats.shapes, splats.colors, tiles)
         else:
             rgba, weighted = composite_wet(splats.shapes, splats.colors, tiles, film)
-        depth = expected(weighted, rgba[..., 3], MIN_WEIGHT) if with_depth or look == "depth" else None
-    if look == "ellipsoids":
+        depth = expected(weighted, rgba[..., 3], MIN_WEIGHT) if with_depth or mode == "depth" else None
+    if mode == "ellipsoids":
         _cover(tiles, splats.shapes, splats.colors, rgba)
-    elif look == "overdraw":
+    elif mode == "overdraw":
         counts = np.empty((tiles.height, tiles.width), np.float32)
         _count(tiles, splats.shapes, counts)
         rgba = _heat_where(counts / np.float32(MAX_FRAGMENTS), counts > 0)
-    elif look == "depth" and depth is not None:
+    elif mode == "depth" and depth is not None:
         t = np.log(np.maximum(depth, np.float32(1e-9)) / NEAREST_M) / np.log(FARTHEST_M / NEAREST_M)
         rgba = _heat_where(t.astype(np.float32), depth > 0)
     return Frame(rgba, depth)
@@ -266,12 +266,12 @@ def _heat_where(numbers: Float32[np.ndarray, "h w"], there: np.ndarray) -> Float
 # Render modes by color
 
 
-def _color_by_mode(look: RenderMode, splats: Splats, parts: Sequence[DrawItem], camera: Camera) -> Splats:
+def _color_by_mode(mode: RenderMode, splats: Splats, parts: Sequence[DrawItem], camera: Camera) -> Splats:
     """Color the splats of `parts` by their normals, opacity or layer; other render modes leave them unchanged.
 
     Selected splats are tinted here, too.
     """
-    if look not in ("normals", "opacity", "layers"):
+    if mode not in ("normals", "opacity", "layers"):
         return splats
     colors = splats.colors.copy()
     drawn = np.flatnonzero(colors[:, 3])
@@ -280,10 +280,10 @@ def _color_by_mode(look: RenderMode, splats: Splats, parts: Sequence[DrawItem], 
     for number, part in enumerate(parts):
         g, rows = part.gaussians, drawn[bounds[number] : bounds[number + 1]]
         members = splats.indices[rows] - ends[number]
-        if look == "normals":
+        if mode == "normals":
             to_world = np.ascontiguousarray(part.to_world, np.float64)
             _normal_colors(rows, members, g.means, g.scales, g.quaternions, to_world, camera.position, colors)
-        elif look == "opacity":
+        elif mode == "opacity":
             colors[rows, :3] = turbo_colors(g.opacities[members] * np.float32(part.opacity))
         else:
             colors[rows, :3] = layer_color(number)

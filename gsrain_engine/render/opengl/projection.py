@@ -19,7 +19,7 @@ from .rain import RainPass, streak_slots
 from .shaders import ComputeShader, ShaderVariants, load_compute_shader
 from .sort import KEYS, SLOTS, CpuSort, PrefixSum, RadixSort
 
-_LOOKS: dict[RenderMode, int] = {"points": 1, "normals": 2, "opacity": 3, "layers": 4}
+_MODES: dict[RenderMode, int] = {"points": 1, "normals": 2, "opacity": 3, "layers": 4}
 """Render modes that change the projection of a Gaussian; as in splat_project.comp."""
 
 _MARKS = 6  # binding of the masks: the last of the eight guaranteed storage bindings
@@ -54,7 +54,7 @@ class ProjectionPass:
         parts: Sequence[DrawItem],
         camera: Camera,
         rain: RainFrame | None,
-        look: RenderMode,
+        mode: RenderMode,
     ) -> FrameSlots:
         rows = [
             (_rising(part) if part.opacity > 0 and part.drawn_count else part._replace(limit=0, members=None), False)
@@ -80,7 +80,7 @@ class ProjectionPass:
         frame: dict[str, Any] = {
             "intrinsics": (camera.fx, camera.fy, camera.cx, camera.cy), "image_size": (camera.width, camera.height),
             "near": NEAR_M, "camera_to_world": tuple(camera.camera_to_world[:3, :3].T.ravel()),
-            "look": _LOOKS.get(look, 0),
+            "look": _MODES.get(mode, 0),
         }  # fmt: skip
         if rain is not None and medium is not None:
             frame |= {"is_linear": rain.is_linear, **medium_uniforms(medium)}

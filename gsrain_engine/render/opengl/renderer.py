@@ -172,7 +172,7 @@ class SplatRenderer:
         rain: RainFrame | None = None,
         *,
         with_depth: bool = False,
-        look: RenderMode = "splats",
+        mode: RenderMode = "splats",
         mirror: Mirror | LensMirror | None = None,
     ) -> None:
         """Draw parts and rain as one depth-ordered compositing; the result is `picture`, and `read()` fetches it.
@@ -189,7 +189,7 @@ class SplatRenderer:
                     self._draw(_film_items(parts), camera)
                     self._complete()
                     light = self._uploaded(mirror.reflected(self._fetch(self.picture)[..., :2]))
-            self._draw(parts, camera, rain, with_depth=with_depth, look=look, mirrored=light)
+            self._draw(parts, camera, rain, with_depth=with_depth, mode=mode, mirrored=light)
             (self._drawn or self.statistics).stages_ms |= films_ms
             self.arrays.release_unused()
 
@@ -200,7 +200,7 @@ class SplatRenderer:
         rain: RainFrame | None = None,
         *,
         with_depth: bool = False,
-        look: RenderMode = "splats",
+        mode: RenderMode = "splats",
         mirrored: moderngl.Texture | None = None,
     ) -> None:
         if self._requests:
@@ -210,7 +210,7 @@ class SplatRenderer:
         self._drawn = RenderStatistics(
             gaussians=sum(part.drawn_count for part in parts), stages_ms={"project": 0.0, "sort": 0.0, "draw": 0.0}
         )
-        falling = rain if rain is not None and not rain.is_clear and look == "splats" else None
+        falling = rain if rain is not None and not rain.is_clear and mode == "splats" else None
         self._drawn.haze_drawn = len(falling.haze) if falling is not None else 0
         self._makes_drops = falling is not None and falling.draws_drops and camera.is_pinhole
         if falling is not None and not camera.is_pinhole:
@@ -218,25 +218,25 @@ class SplatRenderer:
         before = self.context.detect_framebuffer()
         self.context.memory_barrier()  # otherwise shaders may overwrite data that the last frame still reads
         with self._timers.stage("project"):
-            slots = self._projection.project(self._store, parts, camera, falling, look)
+            slots = self._projection.project(self._store, parts, camera, falling, mode)
         with self._timers.stage("sort"):
             self._projection.compact_visible(self._store, self._sort, slots)
             order = self._sort.sort(self._store.work)
         light = falling.light_linear if falling is not None and falling.is_linear else None
         lit = falling.lamp_light if falling is not None and falling.is_linear else None
-        with_depth = with_depth or look == "depth" or lit is not None
+        with_depth = with_depth or mode == "depth" or lit is not None
         medium = falling.medium if falling is not None else None
         if self._tiles is not None:
             self._redraw = partial(
-                self._blend_tiles, order, slots.all, camera, look, light, medium, lit, mirrored, with_depth=with_depth
+                self._blend_tiles, order, slots.all, camera, mode, light, medium, lit, mirrored, with_depth=with_depth
             )
             self._redraw()
         else:
             with self._timers.stage("draw"):
                 self._blend_quads(
-                    order, camera, look, medium, lit, with_depth=with_depth, linear_rain=light is not None
+                    order, camera, mode, medium, lit, with_depth=with_depth, linear_rain=light is not None
                 )
-                self._image = self._mirrored(self._lit(self._resolve(look, light), lit), mirrored)
+                self._image = self._mirrored(self._lit(self._resolve(mode, light), lit), mirrored)
         before.use()
         if self._is_software:
             self._take_stock()
@@ -316,7 +316,7 @@ class SplatRenderer:
         order: moderngl.Buffer,
         capacity: int,
         camera: Camera,
-        look: RenderMode,
+        mode: RenderMode,
         rain_light: Float32[np.ndarray, "3"] | None,
         medium: RainMedium | None,
         lit: LampLight | None,
@@ -328,7 +328,7 @@ class SplatRenderer:
         assert self._tiles is not None
         size = camera.width, camera.height
         target = self._target("splats", FramebufferLayout(size, False, with_depth, lit is not None))
-        switches = _switches(look, with_depth=with_depth, linear_rain=rain_light is not None, medium=medium, lit=lit)
+        switches = _switches(mode, with_depth=with_depth, linear_rain=rain_light is not None, medium=medium, lit=lit)
         lights: dict[str, Any] = {} if rain_light is None else {"rain_light": tuple(rain_light)}
         if medium is not None:
             lights |= sky_uniforms(medium)
@@ -344,7 +344,7 @@ class SplatRenderer:
             self._store, order, capacity, (target.color, target.depth, target.lamps), switches, lights, self._timers
         )  # fmt: skip
         with self._timers.stage("draw"):
-            picture = self._resolve(look, None)
+            picture = self._resolve(mode, None)
             lit_picture = self._lit(picture, lit) if camera.lens is None else self._lit_along(picture, lit, camera)
             self._image = self._mirrored(lit_picture, mirrored)
 
@@ -352,7 +352,7 @@ class SplatRenderer:
         self,
         order: moderngl.Buffer,
         camera: Camera,
-        look: RenderMode,
+        mode: RenderMode,
         medium: RainMedium | None,
         lit: LampLight | None,
         *,
@@ -362,7 +362,7 @@ class SplatRenderer:
         """Draw the sorted splats into an empty framebuffer, or upon the medium's airlight."""
         size = camera.width, camera.height
         target = self._target("splats", FramebufferLayout(size, linear_rain, with_depth, lit is not None))
-        switches = _switches(look, with_depth=with_depth, linear_rain=linear_rain, lit=lit)
+        switches = _switches(mode, with_depth=with_depth, linear_rain=linear_rain, lit=lit)
         macros = {**switches, **self._store.switches}
         program, vertices = self._program("splat.vert", "splat.frag", macros, self._quads)
         program["image_size"] = size
@@ -378,13 +378,13 @@ class SplatRenderer:
         order.bind_to_storage_buffer(SLOTS)
         context = self.context
         context.enable_only(moderngl.BLEND)
-        context.blend_func = moderngl.ONE, moderngl.ONE if look == "overdraw" else moderngl.ONE_MINUS_SRC_ALPHA
+        context.blend_func = moderngl.ONE, moderngl.ONE if mode == "overdraw" else moderngl.ONE_MINUS_SRC_ALPHA
         context.provoking_vertex = moderngl.FIRST_VERTEX_CONVENTION
         vertices.render_indirect(self._store.work, moderngl.TRIANGLES, count=1)
         context.provoking_vertex = moderngl.LAST_VERTEX_CONVENTION
         context.enable_only(moderngl.NOTHING)
 
-    def _resolve(self, look: RenderMode, rain_light: Float32[np.ndarray, "3"] | None) -> moderngl.Texture:
+    def _resolve(self, mode: RenderMode, rain_light: Float32[np.ndarray, "3"] | None) -> moderngl.Texture:
         """Combine scene and rain in linear light, or turn numbers into heat colors."""
         splats = self._targets["splats"]
         if rain_light is not None:
@@ -392,10 +392,10 @@ class SplatRenderer:
             program, vertices = self._program("screen.vert", "rain_resolve.frag", {})
             program["rain_light"] = tuple(rain_light)
             textures = {"clear_scene": splats.color, "shares": splats.shares}
-        elif look in ("depth", "overdraw"):
-            program, vertices = self._program("screen.vert", "heat.frag", {"DEPTH": 1} if look == "depth" else {})
-            program["ends"] = (NEAREST_M, FARTHEST_M) if look == "depth" else (0.0, float(MAX_FRAGMENTS))
-            numbers = splats.depth if look == "depth" else splats.color
+        elif mode in ("depth", "overdraw"):
+            program, vertices = self._program("screen.vert", "heat.frag", {"DEPTH": 1} if mode == "depth" else {})
+            program["ends"] = (NEAREST_M, FARTHEST_M) if mode == "depth" else (0.0, float(MAX_FRAGMENTS))
+            numbers = splats.depth if mode == "depth" else splats.color
             assert numbers is not None
             textures = {"numbers": numbers}
         else:
@@ -498,7 +498,7 @@ class SplatRenderer:
 
 
 def _switches(
-    look: RenderMode,
+    mode: RenderMode,
     *,
     with_depth: bool,
     linear_rain: bool,
@@ -508,7 +508,7 @@ def _switches(
     """Macros of splat.frag, medium_sky.frag and tile_blend.comp."""
     switches = {"LINEAR_RAIN": linear_rain, "WITH_DEPTH": with_depth, "MEDIUM": medium is not None}
     switches["LAMPS"] = lit is not None
-    switches |= {"ELLIPSOIDS": look == "ellipsoids", "OVERDRAW": look == "overdraw"}
+    switches |= {"ELLIPSOIDS": mode == "ellipsoids", "OVERDRAW": mode == "overdraw"}
     return {name: 1 for name, is_set in switches.items() if is_set}
 
 

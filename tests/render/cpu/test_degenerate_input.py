@@ -56,7 +56,7 @@ def test_pictures_stay_finite_and_repeat_themselves(open_kind, kind, what, look,
         drops = changed(random_gaussians(COUNT, 2, 1), [each for each in what if each[0] != "sh"])
         rain = given_rain(drops, np.ones(3, np.float32), model)
     with_depth = kind == "cpu" or look == "splats"
-    frame, again = (drawn(renderer, gaussians, rain, look=look, with_depth=with_depth) for _ in range(2))
+    frame, again = (drawn(renderer, gaussians, rain, mode=look, with_depth=with_depth) for _ in range(2))
     assert np.isfinite(frame.rgba).all()
     assert not with_depth or np.isfinite(frame.depth).all()
     assert frame.rgba.min() >= 0

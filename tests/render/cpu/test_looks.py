@@ -29,7 +29,7 @@ def one(
 
 
 def seen(parts, look: RenderMode, camera: Camera | None = None, **more) -> Frame:
-    return drawn(CpuRenderer(), parts, camera=camera or square_camera(), look=look, **more)
+    return drawn(CpuRenderer(), parts, camera=camera or square_camera(), mode=look, **more)
 
 
 def square_camera() -> Camera:
