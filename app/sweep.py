@@ -14,15 +14,26 @@ import msgspec
 from gsrain_engine.report.table import Table
 from gsrain_engine.safe_io.errors import MissingInputsError
 from gsrain_engine.sweep.executors import DaskCluster, Executor, LocalPool, SerialExecutor
-from gsrain_engine.sweep.expansion import Shard, jobs_of
+from gsrain_engine.sweep.expansion import Job, Shard, jobs_of
 from gsrain_engine.sweep.report import write_tables
 from gsrain_engine.sweep.results import SweepFolder
 from gsrain_engine.sweep.run import SweepRun, agent_codes, missing_clients, run_sweep
-from gsrain_engine.sweep.settings import DriveSweep, load_sweep, sweep_names
+from gsrain_engine.sweep.settings import DriveSweep, Sweep, load_sweep, sweep_names
 from gsrain_engine.trusted_code import check_trusted
 
 from .console import counted, print, print_lines, run_with_progress
-from .options import JsonFile, Trust, check_within, converted_options, flag, option, options_of, split_words, with_trust
+from .options import (
+    JsonFile,
+    StructOptions,
+    Trust,
+    check_within,
+    converted_options,
+    flag,
+    option,
+    options_of,
+    split_words,
+    with_trust,
+)
 from .outputs import check_writable, lock_outputs, write_numbers
 
 SOME_FAILED, INTERRUPTED = 1, 130
@@ -51,15 +62,7 @@ def sweep(
     a line per finished job.
     """
     started = time.perf_counter()
-    chosen = (options or SweepOptions()).changes()
-    output = chosen.pop("output", None)
-    loaded = load_sweep(sweep)
-    if wrong := [name for name in chosen if name not in loaded.__struct_fields__]:
-        raise ValueError(f"--{wrong[0].replace('_', '-')}: sweep {sweep} makes clips; only drives have it")
-    settings = converted_options(msgspec.to_builtins(loaded) | chosen, type(loaded))
-    if output is None and settings.output is None:
-        raise ValueError(f"sweep {sweep}: expected --output DIR, for it has no `output` of its own")
-    folder = SweepFolder(Path(str(output or settings.output)))
+    settings, folder = _settings(sweep, options or SweepOptions())
     resources = _check_engine(workers, dask, dask_resources)
     check_writable(folder.path / "table.csv", folder.path / "report.html", json, folders=[folder.path])
     jobs = jobs_of(settings)
@@ -73,16 +76,13 @@ def sweep(
         with_trust(lambda: check_trusted(sweep, agent_codes(to_do)), trust)
         folder.describe(settings, jobs)
         print(f"{folder.path}: {counted(len(share), 'job')}, {len(share) - len(to_do)} with a row", file=sys.stderr)
-        try:
-            with ExitStack() as stack:
-                engine = _engine(workers, dask, resources, stack)
-                stack.enter_context(_sigterm_as_ctrl_c())
-                work = stack.enter_context(closing(run_sweep(to_do, engine, folder)))
-                run = run_with_progress(work, line_every_s=0)  # a line for each job
-        except KeyboardInterrupt:
+        with ExitStack() as stack:
+            ran = _run(to_do, _engine(workers, dask, resources, stack), folder, stack)
+        if ran is None:
             left = counted(len(folder.to_do(share)), "job")
             print(f"stopped with {left} to do; the same command goes on from there", file=sys.stderr)
             return INTERRUPTED
+        run = ran
     numbers: dict[str, Any] = {"done": run.done, "kept": len(share) - len(to_do)}
     failed = run.failed
     if shard is not None and folder.to_do(jobs):
@@ -95,6 +95,28 @@ def sweep(
         _print(folder, numbers, report.tables)
     write_numbers(json, numbers | {"seconds": time.perf_counter() - started})
     return SOME_FAILED if failed else 0
+
+
+def _settings(name: str, options: StructOptions) -> tuple[Sweep, SweepFolder]:
+    """Return a sweep with the options, and its folder; raises ValueError for options that it does not have."""
+    chosen = options.changes()
+    output, loaded = chosen.pop("output", None), load_sweep(name)
+    if wrong := [each for each in chosen if each not in loaded.__struct_fields__]:
+        raise ValueError(f"--{wrong[0].replace('_', '-')}: sweep {name} makes clips; only drives have it")
+    settings = converted_options(msgspec.to_builtins(loaded) | chosen, type(loaded))
+    if output is None and settings.output is None:
+        raise ValueError(f"sweep {name}: expected --output DIR, for it has no `output` of its own")
+    return settings, SweepFolder(Path(str(output or settings.output)))
+
+
+def _run(jobs: Sequence[Job], engine: Executor, folder: SweepFolder, stack: ExitStack) -> SweepRun | None:
+    """Run jobs, with a line for each; returns None if somebody stops them."""
+    try:
+        stack.enter_context(_sigterm_as_ctrl_c())
+        work = stack.enter_context(closing(run_sweep(jobs, engine, folder)))
+        return run_with_progress(work, line_every_s=0)
+    except KeyboardInterrupt:
+        return None
 
 
 def _check_engine(workers: int | None, dask: str | None, resources: str) -> dict[str, float]:

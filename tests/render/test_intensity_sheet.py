@@ -103,6 +103,22 @@ def test_words_are_wrapped_to_the_width_of_the_image(width):
     assert (found.shape[0] > one.shape[0]) == (width == 480)  # more lines only where they are needed
 
 
+@pytest.mark.parametrize("wet", ["--wet", "--no-wet"])
+def test_cells_are_the_stills_of_their_intensities_at_0_mm_h_too(tmp_path, monkeypatch, wet):
+    scene = small_scene()
+    layers = tuple(replace(each, wet_sh=0.5 * each.gaussians.sh) for each in scene.layers)
+    write_scene(replace(scene, layers=layers), tmp_path / "scene")
+    command = ["render", str(tmp_path / "scene"), wet, "--size", "96x64", "--backend", "cpu"]
+    cells = []
+    monkeypatch.setattr(sheets, "intensity_sheet", lambda found: cells.append(found) or found[0].image)
+    assert run([*command, "--sheet", "0,12", "-o", str(tmp_path / "sheet.png")]) == 0
+    for cell in cells[0]:
+        still = tmp_path / f"{cell.intensity_mm_h:g}.png"
+        assert run([*command, "--rain", f"{cell.intensity_mm_h:g}", "-o", str(still)]) == 0
+        with Image.open(still) as image:
+            np.testing.assert_array_equal(cell.image, np.asarray(image.convert("RGB")))
+
+
 def test_the_command_writes_the_sheet_and_its_numbers(tmp_path, capsys):
     write_scene(small_scene(), tmp_path / "scene")
     sheet = tmp_path / "sheet.png"
