@@ -75,7 +75,7 @@ def _checked_rain(rain: RainSettings | None, kind: Source) -> RainSettings:
     found = rain or RainSettings()
     default = msgspec.structs.asdict(RainSettings())
     changes = {name: value for name, value in msgspec.structs.asdict(found).items() if value != default[name]}
-    check_available(changes, found, kind)
+    check_available(changes, found, kind, {name: name for name in default})
     return found
 
 
@@ -121,7 +121,7 @@ def export_rain(
     if isinstance(source, Scene) or names_scene(source):
         place = source if isinstance(source, Scene) else open_source(source)
         assert isinstance(place, Scene)
-        shot = rain or RainSettings()
+        shot = _checked_rain(rain, "Gaussians with scene" if with_scene else "Gaussians")
         still = ExportSettings(output="rain.png", first_s=time, size_px=size)
         viewpoint = camera or home_camera(place, *size)
         return export_rain_gaussians(place, shot, viewpoint, target, still, with_scene=with_scene)

@@ -48,12 +48,15 @@ _NEEDS: dict[str, tuple[str, tuple[Any, ...], str]] = {
 """Setting, another one and its values with which it does something, and the reason."""
 
 
-def check_available(changes: Mapping[str, Any], rain: RainSettings, source: Source = "scene") -> None:
-    """Raise `ValueError` for a changed setting that has no effect; it names the option, the reason and what to do.
+def check_available(
+    changes: Mapping[str, Any], rain: RainSettings, source: Source = "scene", names: Mapping[str, str] | None = None
+) -> None:
+    """Raise `ValueError` for a changed setting that has no effect; it names the setting, the reason and what to do.
 
     `changes` are the settings that somebody chose by name, those of a preset aside; `rain` is the whole.
+    `names` are those of the settings for their reader, by default the options of the command line.
     """
-    names = option_names(RainSettings)
+    names = option_names(RainSettings) if names is None else names
     for field, value in changes.items():
         reason = UNAVAILABLE[source].get(field)
         if reason is not None and value != _OFF.get(field, RainSettings):

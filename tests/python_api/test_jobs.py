@@ -104,11 +104,13 @@ def test_cameras_shift_along_their_own_axes():
         (lambda: gr.evaluate_detection("street", lambda image: image, seeds=0), "seeds"),
         (lambda: gr.evaluate_lidar("street", sensor="none"), "sensor"),
         (lambda: gr.publish(boxy_scene(), "page.txt"), "output"),
+        (lambda: gr.evaluate_lidar("street", gr.Rain(glass="lens")), "^glass: a lidar"),
+        (lambda: gr.export_rain(boxy_scene(), "rain.ply", gr.Rain(5, glass="lens")), "^glass: a file of Gaussians"),
         (lambda: gr.transfer("street", "out", method="magic"), "magic"),
         (lambda: gr.export_rain("pictures", "pictures/copy", gr.Rain(8)), "output"),
         (lambda: gr.sweep("no such sweep", "out"), "no such sweep"),
     ],
-    ids=["detector", "seeds", "sensor", "page", "method", "copy", "sweep"],
+    ids=["detector", "seeds", "sensor", "page", "glass of a lidar", "glass of Gaussians", "method", "copy", "sweep"],
 )
 def test_bad_input_is_named(place, monkeypatch, call, names):
     monkeypatch.chdir(place)
