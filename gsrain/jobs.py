@@ -3,9 +3,9 @@
 Each runs what the command of the same name runs, and returns a value with a `table`, a `figure` and `save`.
 """
 
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, cast
 
 import msgspec
 
@@ -52,13 +52,8 @@ from gsrain_engine.sweep.settings import load_sweep
 
 from .arguments import checked, checked_settings
 
-_Result = TypeVar("_Result")
 Report = Callable[[Progress], object]
 SourceName = Scene | Capture | Path | str
-
-
-def _run(work: Generator[Progress, None, _Result], progress: Report | None) -> _Result:
-    return run_to_end(work, progress)
 
 
 def _opened(source: SourceName) -> Scene | Capture:
@@ -133,7 +128,7 @@ def export_rain(
             renderer, recording, target, checked_rain, scene=scene, sensor=open_sensor(sensor),
             files=FileCopies(hard_links),
         )  # fmt: skip
-        return _run(work, progress)
+        return run_to_end(work, progress)
 
 
 @checked
@@ -170,7 +165,7 @@ def publish(
     is_own = path is None and scene.path is not None
     sequence = export_sequences(film, scene, RainSimulation.start(settings), viewpoint, in_scene_time=is_own)[""]
     with open_renderer("cpu") as renderer:
-        return _run(publish_page(renderer, scene, settings, sequence, "Path", target, seconds), progress)
+        return run_to_end(publish_page(renderer, scene, settings, sequence, "Path", target, seconds), progress)
 
 
 # Evaluations
@@ -243,7 +238,7 @@ def evaluate_detection(
     kept, film = (None if each is None else Path(each) for each in (folder, video))
     with open_renderer(backend) as renderer:
         each = [_detector(detector, number) for number, detector in enumerate(chosen)]
-        return _run(detection_session(renderer, opened, each, found, settings, folder=kept, video=film), progress)
+        return run_to_end(detection_session(renderer, opened, each, found, settings, folder=kept, video=film), progress)
 
 
 _DETECTION_FIELDS = {
@@ -345,7 +340,7 @@ def evaluate_lidar(
         sweeps=written,
         detector=detector,
     )
-    return _run(work, progress)
+    return run_to_end(work, progress)
 
 
 # Rainy looks and scenes
@@ -387,7 +382,7 @@ def transfer(
     values = {"count": views, "width_px": width, "sensors": cameras}
     choice = checked_settings(values, ViewChoice, {"views": "count", "width": "width_px", "cameras": "sensors"})
     opened = source_views(_opened(source), choice, capture)
-    return _run(transfer_views(opened, method, chosen, choice, Path(output)), progress)
+    return run_to_end(transfer_views(opened, method, chosen, choice, Path(output)), progress)
 
 
 @checked
@@ -419,7 +414,7 @@ def recolor(
     pictures = open_capture(capture or images)
     if capture is not None:
         pictures = with_images(pictures, Path(images))
-    return _run(recolor_to_capture(scene, pictures, options), progress).result
+    return run_to_end(recolor_to_capture(scene, pictures, options), progress).result
 
 
 @checked
@@ -463,7 +458,7 @@ def reconstruct(
         capture=Path(capture), output=Path(output), settings=load_settings(config, **settings), images=pictures,
         masks=marked, resume=resume,
     )  # fmt: skip
-    return reconstruction_result(_run(work(task), progress), task.output)
+    return reconstruction_result(run_to_end(work(task), progress), task.output)
 
 
 # Sweeps
@@ -498,4 +493,4 @@ def sweep(
     values: Mapping[str, Any] = msgspec.to_builtins(loaded) | dict(settings or {})
     chosen = checked_settings(values, type(loaded), {})
     engine = SerialExecutor() if workers == 0 else LocalPool(workers)
-    return _run(run_sweep_and_report(chosen, Path(output), engine), progress)
+    return run_to_end(run_sweep_and_report(chosen, Path(output), engine), progress)

@@ -80,8 +80,7 @@ def detection(
     boxes, or from a COCO file. Objects lower than 16 px or less than a quarter visible are ignored, and so are
     classes that a detector lacks (a sign), which are listed separately. Objects that a data set only calls vehicle
     match a car, truck, bus, van or trailer. With --output, finished results are stored there: the same command
-    resumes after a stop, and more seeds,
-    intensities or detectors are only added.
+    resumes after a stop, and more seeds, intensities or detectors are only added.
     """
     let_names_lead_outside(allow_outside)
     cameras = (views or ViewOptions()).settings(ViewChoice(width_px=960))

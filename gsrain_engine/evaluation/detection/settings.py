@@ -18,7 +18,7 @@ class DetectionSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fiel
 
     intensities_mm_h: Annotated[
         tuple[Annotated[float, Meta(ge=0, le=HEAVIEST_MM_H)], ...],
-        Meta(title="Intensities", description="Rainfall intensities; 0 is always included.",
+        Meta(min_length=1, title="Intensities", description="Rainfall intensities; 0 is always included.",
              extra={"unit": "mm/h", "option": "rain intensity", "commands": _COMMANDS}),
     ] = (0.0, 1.2, 8.5, 12.0)  # fmt: skip
     diameter_scales: Annotated[

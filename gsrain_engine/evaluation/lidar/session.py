@@ -43,7 +43,7 @@ class LidarSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields=T
 
     intensities_mm_h: Annotated[
         tuple[Annotated[float, Meta(ge=0, le=HEAVIEST_MM_H)], ...],
-        Meta(title="Intensities", description="Rainfall intensities.",
+        Meta(min_length=1, title="Intensities", description="Rainfall intensities.",
              extra={"unit": "mm/h", "option": "rain intensity", "commands": _COMMANDS}),
     ] = (0.0, 1.2, 8.5, 12.0)  # fmt: skip
     seeds: Annotated[
