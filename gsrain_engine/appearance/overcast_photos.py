@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, UInt8
+from jaxtyping import Bool, Float32, UInt8
 
 from ..datasets.geometry import scaled_camera
 from ..fields import option_names
@@ -37,6 +37,8 @@ from .wet_look.settings import WetSettings
 
 Colors = UInt8[np.ndarray, "h w 3"]
 Flags = Bool[np.ndarray, "h w"]
+FullColors = UInt8[np.ndarray, "tall wide 3"]  # of a photograph next to a small view of it
+FullPlane = Float32[np.ndarray, "tall wide"]
 
 _MIN_SUN = 0.1  # least confidence in the sun with which light is softened
 _MIN_SKY = 0.001  # least share of the picture that is certain sky
@@ -243,7 +245,7 @@ def _without_cast(light: IlluminationEstimate) -> IlluminationEstimate:
 
 
 def _relit(
-    photo: Colors, small: Image, ratio: Image, known: Flags, sky: Plane, behind: Image, cloud: Image, sun: float
+    photo: FullColors, small: Image, ratio: Image, known: Flags, sky: Plane, behind: Image, cloud: Image, sun: float
 ) -> SoftenedPhoto:
     """Multiply a photograph by ratios of a small one; `behind` is the color of its sky, and `cloud` the new one."""
     height, width = photo.shape[:2]
@@ -266,8 +268,8 @@ def _relit(
 
 
 def _sky_and_front(
-    colors: Sequence[Plane], level: UInt8[np.ndarray, "h w"], small: Image, sky: Plane, behind: Image
-) -> tuple[Plane, Plane]:
+    colors: Sequence[FullPlane], level: UInt8[np.ndarray, "tall wide"], small: Image, sky: Plane, behind: Image
+) -> tuple[FullPlane, FullPlane]:
     """Share of sky in each pixel of a photograph, and share of its light that passes what is in front of it there."""
     height, width = level.shape
     fit = color_guided_fit(sky, small, max(round(_SKY_SHARE * small.shape[1]), 2), _SKY_SPREAD)

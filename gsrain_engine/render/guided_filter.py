@@ -45,7 +45,7 @@ class GuidedFit:
         """Return the values at a guide's channels, one for each slope, of the size of the fit's own or larger."""
         size = channels[0].shape[1], channels[0].shape[0]
 
-        def resized(each: Plane) -> Plane:
+        def resized(each: Plane) -> Float32[np.ndarray, "tall wide"]:
             return each if each.shape == channels[0].shape else cv2.resize(each, size, interpolation=cv2.INTER_LINEAR)
 
         fitted = sum(resized(slope) * each for slope, each in zip(self.slopes, channels, strict=True))
