@@ -47,6 +47,7 @@ from .options import (
     parse_size,
     setting,
     split_list,
+    takes_set,
 )
 from .outputs import check_writable, table_stream, write_numbers
 
@@ -358,9 +359,10 @@ _HALF_HEIGHT, _WET_SHARE = 0.5, 0.6
 """Below this share of the height, images are darker still, like wet ground: no global color map explains that."""
 
 
-SolverOptions = options_of(RecolorSettings, "bench recoloring")
+SolverOptions = options_of(RecolorSettings, "bench recoloring", topic="Options")
 
 
+@takes_set
 def recoloring(
     *,
     scenes: Scenes = "random-200k,street",

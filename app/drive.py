@@ -18,8 +18,7 @@ from gsrain_engine.rain.calibration import load_calibration
 from gsrain_engine.rain.properties import extinction_note
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.wetness import with_wet_choice
-from gsrain_engine.render import export_settings
-from gsrain_engine.render.export_settings import Lod
+from gsrain_engine.render.export_settings import ExportSettings, Lod
 from gsrain_engine.render.level_of_detail import lod_cut
 from gsrain_engine.render.provenance import PictureProvenance
 from gsrain_engine.render.renderer import Renderer
@@ -67,6 +66,7 @@ from .options import (
     parse_intensities,
     setting,
     split_words,
+    takes_set,
 )
 from .outputs import check_writable, lock_outputs, write_numbers
 from .render import rainy_light
@@ -82,7 +82,7 @@ _EXTRAS = {"ros2": "recordings"}
 
 @Parameter(name="*")  # fields are options of the command, without a prefix
 @dataclass(frozen=True, kw_only=True)
-class DriverOptions(options_of(AgentOptions, "drive")):
+class DriverOptions(options_of(AgentOptions, "drive", topic="Driver")):
     """Options about agents."""
 
     agent: Annotated[
@@ -90,21 +90,35 @@ class DriverOptions(options_of(AgentOptions, "drive")):
         flag(
             f"Agent that drives: {', '.join(SHIPPED_AGENTS)}, hugsim, or one of an installed package (entry points "
             "gsrain.agents); FILE.py or FILE.py:NAME is a class of your own. "
-            "May be given several times. Default: camera-idm if a detector is found, else oracle-idm."
+            "May be given several times. Default: camera-idm if a detector is found, else oracle-idm.",
+            "Driver",
         ),
     ] = None
     hugsim_dir: Annotated[
-        Path | None, option("Folder with the pipes of HUGSIM's protocol: UniAD, VAD or LTF drives.")
+        Path | None, option("Folder with the pipes of HUGSIM's protocol: UniAD, VAD or LTF drives.", topic="Driver")
     ] = None
     hugsim_client: Annotated[
         str | None,
-        flag("Command of the client, started before the scene is read; without one, start it yourself on the folder."),
+        flag(
+            "Command of the client, started before the scene is read; without one, start it yourself on the folder.",
+            "Driver",
+            rare=True,
+        ),
     ] = None
     hugsim_wait: Annotated[
-        float, option("Seconds to wait for the client's first plan; at most 60 of them for each later one.")
+        float,
+        option(
+            "Seconds to wait for the client's first plan; at most 60 of them for each later one.",
+            topic="Driver",
+            rare=True,
+        ),
     ] = 120.0
-    hugsim_all: Annotated[bool, flag("Send the client depth and semantic classes too, which takes longer.")] = False
-    channel_order: Annotated[Literal["rgb", "bgr"], option("Of the images in HUGSIM's protocol.")] = "rgb"
+    hugsim_all: Annotated[
+        bool, flag("Send the client depth and semantic classes too, which takes longer.", "Driver", rare=True)
+    ] = False
+    channel_order: Annotated[
+        Literal["rgb", "bgr"], option("Of the images in HUGSIM's protocol.", topic="Driver", rare=True)
+    ] = "rgb"
 
     def names(self) -> list[str]:
         """Return the names of the chosen agents. Raises ValueError for unknown or contradictory ones."""
@@ -157,11 +171,13 @@ class DriverOptions(options_of(AgentOptions, "drive")):
         return agent
 
 
-RunOptions = options_of(Scenario, "drive", "Default: the scenario's.")
-DrawingOptions = options_of(export_settings.ExportSettings, "drive")
-WeatherOptions = options_of(RainSettings, "drive", "Default: the scenario's.")
+RunOptions = options_of(Scenario, "drive", "Default: the scenario's.", topic="Scenario")
+WeatherOptions = options_of(
+    RainSettings, "drive", "Default: the scenario's.", topic="Rain", fixed={"intensity_mm_h": "--rain"}
+)
 
 
+@takes_set
 def drive(
     scenario: Annotated[
         str | None,
@@ -174,22 +190,35 @@ def drive(
     *,
     driver: DriverOptions | None = None,
     rain: Annotated[
-        str | None, setting(RainSettings, "intensity_mm_h", "Several with commas. Default: the scenario's.")
+        str | None, setting(RainSettings, "intensity_mm_h", "Several with commas. Default: the scenario's.", "Rain")
     ] = None,
     weather: WeatherOptions | None = None,
     preset: Preset = None,
     run: RunOptions | None = None,
     wet: Wet = None,
-    output: Annotated[Path | None, option("Output folder; default: drive-NAME.", "--output", "-o")] = None,
-    video: Annotated[bool | None, option("Write a video of each run; default: if there is only one.")] = None,
-    fps: Annotated[float, option("Frame rate of the videos.")] = 10.0,
+    output: Annotated[
+        Path | None, option("Output folder; default: drive-NAME.", "--output", "-o", topic="Output")
+    ] = None,
+    video: Annotated[
+        bool | None, option("Write a video of each run; default: if there is only one.", topic="Output")
+    ] = None,
+    fps: Annotated[float, option("Frame rate of the videos.", topic="Output", rare=True)] = 10.0,
     export: Annotated[
-        str, option("Also write runs as parquet, ros2 (bag, also for Foxglove), xosc (OpenSCENARIO), with commas.")
+        str,
+        option(
+            "Also write runs as parquet, ros2 (bag, also for Foxglove), xosc (OpenSCENARIO), with commas.",
+            topic="Output",
+        ),
     ] = "",
     rerun: Annotated[
-        Path | None, option("Also write a Rerun recording (.rrd): scene, boxes, plan, plots, camera. One run only.")
+        Path | None,
+        option(
+            "Also write a Rerun recording (.rrd): scene, boxes, plan, plots, camera. One run only.",
+            topic="Output",
+            rare=True,
+        ),
     ] = None,
-    drawing: DrawingOptions | None = None,
+    lod: Annotated[Lod | None, setting(ExportSettings, "lod", topic="More", rare=True)] = None,
     backend: Annotated[Backend, BACKEND] = "auto",
     json: JsonFile = None,
 ) -> None:
@@ -232,7 +261,7 @@ def drive(
         if doubled is not None:
             raise ValueError(f"--agent: two agents are called {doubled!r}, and so would be their files")
         check_writable(json, *files.planned(test.name, names, rains_mm_h, rains[0].seed, films=films))
-        lod, renderer = (drawing or DrawingOptions()).changes().get("lod"), None
+        renderer = None
         records = (rerun is not None or "ros2" in files.exports) and bool(opened.rigs)
         if films or records or any(agent.needs.cameras for agent in agents):
             opened = opened if lod_cut(opened, lod) is None else with_lod_trees(opened)

@@ -23,7 +23,18 @@ from gsrain_engine.scene.open import load_sorted_scene
 from gsrain_engine.scene.scene import Scene
 
 from .console import print, run_with_progress
-from .options import JsonFile, Wet, check_within, flag, named_options, option, options_of, parse_size, setting
+from .options import (
+    JsonFile,
+    Wet,
+    check_within,
+    flag,
+    named_options,
+    option,
+    options_of,
+    parse_size,
+    setting,
+    takes_set,
+)
 from .outputs import check_writable, lock_outputs, write_numbers
 from .render import RainOptions, rainy_light, viewpoint_of
 from .scene import Orientation
@@ -31,7 +42,7 @@ from .scene import Orientation
 
 @Parameter(name="*")  # fields are options of the command, without a prefix
 @dataclass(frozen=True, kw_only=True)
-class PhotoOptions(options_of(RainSettings, "export-rain", "")):
+class PhotoOptions(options_of(RainSettings, "export-rain", "", topic="Rain")):
     """Options about the photographs of a recording."""
 
     def added_to(self, rain: RainOptions, scene: Scene, source: Source) -> RainSettings:
@@ -47,13 +58,15 @@ class RecordingLidar:
     """Options about the lidar of a recording."""
 
     lidar_sensor: Annotated[
-        str, option(f"Lidar of a recording: {', '.join(SENSORS)} (beams, or nm), or a YAML file.")
+        str, option(f"Lidar of a recording: {', '.join(SENSORS)} (beams, or nm), or a YAML file.", topic="Recording")
     ] = "64"
     full_intensity: Annotated[
-        float | None, option("Lidar's intensity of white; default: 1, or 100 if values exceed 1.")
+        float | None,
+        option("Lidar's intensity of white; default: 1, or 100 if values exceed 1.", topic="Recording", rare=True),
     ] = None
 
 
+@takes_set
 def export_rain(
     source: Annotated[
         str, option('Scene, "street", or a recording (nuScenes, KITTI, Waymo, MCAP, ROS 2 bag, folder of images).')
@@ -66,23 +79,31 @@ def export_rain(
             ExportSettings,
             "output",
             "Here a file (.ply .spz ...) for a scene; for a recording a new folder, or a file if it is one (.mcap).",
+            "Output",
         ),
     ],
     rain: RainOptions | None = None,
     photos: PhotoOptions | None = None,
     time: Annotated[float, setting(ExportSettings, "first_s", "Scenes only.")] = 0.0,
-    camera: Annotated[Path | None, option("Scene: camera file (JSON); default: the scene's own path or drive.")] = None,
+    camera: Annotated[
+        Path | None,
+        option("Scene: camera file (JSON); default: the scene's own path or drive.", topic="Camera and time"),
+    ] = None,
     size: Annotated[str, setting(ExportSettings, "size_px", "The streaks are made for it.")] = "960x640",
     scene: Annotated[
-        str | None, option("Recording: scene made of it by gsrain reconstruct; images are of the scene.")
+        str | None,
+        option("Recording: scene made of it by gsrain reconstruct; images are of the scene.", topic="Recording"),
     ] = None,
     wet: Wet = None,
     lidar: RecordingLidar | None = None,
-    key_frames_only: Annotated[bool, flag("nuScenes: only the annotated samples get rain.")] = False,
+    key_frames_only: Annotated[bool, flag("nuScenes: only the annotated samples get rain.", "Recording")] = False,
     hard_links: Annotated[
-        bool, flag("Recording: unchanged files are stored once, so that editing one edits both; saves disk space.")
+        bool,
+        flag(
+            "Recording: unchanged files are stored once, so that editing one edits both; saves disk space.", "Recording"
+        ),
     ] = False,
-    with_scene: Annotated[bool, flag("Scene: write the scene's Gaussians, too, in one file.")] = False,
+    with_scene: Annotated[bool, flag("Scene: write the scene's Gaussians, too, in one file.", "Output")] = False,
     orientation: Orientation | None = None,
     json: JsonFile = None,
 ) -> None:

@@ -5,7 +5,7 @@ import os
 import select
 import sys
 from collections.abc import Collection, Iterable, Sequence
-from contextlib import redirect_stdout
+from contextlib import nullcontext, redirect_stdout
 from contextvars import copy_context
 from difflib import get_close_matches
 from importlib import metadata
@@ -19,8 +19,19 @@ from gsrain_engine.plugins import find_extensions
 from gsrain_engine.safe_io.errors import MissingInputsError, sentence_of
 from ui.commands.table import BENCHMARKS, EVALUATIONS, SHELL_COMMANDS
 
-from .console import Console, console_log, use_any_encoding
-from .options import JsonFileOrScreen, Preset, Wet, flag, option, parse_whole_numbers, reject_non_finite, window_problem
+from .console import Console, console_log, print, use_any_encoding
+from .options import (
+    OPTIONS,
+    JsonFileOrScreen,
+    Preset,
+    Wet,
+    all_listed,
+    flag,
+    option,
+    parse_whole_numbers,
+    reject_non_finite,
+    window_problem,
+)
 from .outputs import check_writable, release_outputs, table_stream, write_numbers
 
 if TYPE_CHECKING:
@@ -28,13 +39,15 @@ if TYPE_CHECKING:
 
 BAD_INPUT, INTERRUPTED, NOBODY_READS = 2, 130, 141
 _OURS = ("gsrain", "gsrain_engine", "app")  # loggers whose info messages the command line prints
-_HARMLESS = frozenset({"--help", "-h", "--version"})  # options that need no working directory
+_HELP_ALL = "--help-all"
+_HARMLESS = frozenset({"--help", "-h", _HELP_ALL, "--version"})  # options that need no working directory
 
 app = App(
     name="gsrain",
     help="Calibrated rain in captured 3D Gaussian Splatting scenes. Without a command: open the window.",
     version=metadata.version("gsrain"),
     help_format="plaintext",
+    group_parameters=OPTIONS,
     default_parameter=Parameter(validator=reject_non_finite, converter=parse_whole_numbers),
 )
 
@@ -44,15 +57,15 @@ def view(
     scene: Annotated[str | None, option("Scene file or folder; default: the built-in street.")] = None,
     /,
     *,
-    preset: Preset = None,
-    wet: Wet = None,
+    preset: Annotated[Preset, Parameter(group=OPTIONS)] = None,
+    wet: Annotated[Wet, Parameter(group=OPTIONS)] = None,
     backend: Annotated[
         Literal["auto", "opengl", "opengl-tiles", "opengl-quads", "cpu"],
         option("Renderer; auto is the fastest here: OpenGL on a GPU, else the CPU."),
     ] = "auto",
     follow_path: Annotated[bool, flag("Look through the camera that moves along the scene's path.")] = False,
 ) -> None:
-    """Open a scene in the window."""
+    """Open a scene in the window; without SCENE, the built-in street."""
     if scene is not None and not _names_scene(scene):
         from gsrain_engine.scene.open import load_scene
 
@@ -121,10 +134,7 @@ def run(arguments: list[str]) -> int:
         if arguments[:1] == ["evaluate"]:
             add_installed_evaluations(arguments[1:])
         # Run in a separate context, so that permissions of one command end with it.
-        code = copy_context().run(
-            app, spelled_out(arguments), exit_on_error=False, print_error=False, result_action="return_value"
-        )
-        return code if isinstance(code, int) else 0
+        return copy_context().run(_run, spelled_out(arguments))
     except (CycloptsError, ValueError, OSError, MemoryError, ImportError) as error:
         if isinstance(error, BrokenPipeError) and _nobody_reads():
             return NOBODY_READS
@@ -152,6 +162,34 @@ def run(arguments: list[str]) -> int:
         return BAD_INPUT
     finally:
         release_outputs()
+
+
+def _run(arguments: list[str]) -> int:
+    """Run a command, or print its help: with --help-all all of its options, with --help the common ones."""
+    with all_listed() if _HELP_ALL in arguments else nullcontext():
+        words = ["--help" if each == _HELP_ALL else each for each in arguments]
+        code = app(words, exit_on_error=False, print_error=False, result_action="return_value")
+    if not {"--help", "-h"}.isdisjoint(arguments):
+        command = app.parse_commands([each for each in arguments if each not in _HARMLESS])[1][-1]
+        if command.default_command is not None and (line := _rest_of_help(command)):
+            print(line)
+    return code if isinstance(code, int) else 0
+
+
+def _rest_of_help(command: App) -> str:
+    """Return the last line of a command's help, about its options that are not listed; "" if all are."""
+    shown = options_in_help(command)
+    with all_listed():
+        everything = options_in_help(command)
+    if len(shown) == len(everything):
+        return ""
+    return f"These are the common options. --help-all lists all {len(everything)}."
+
+
+def options_in_help(command: App) -> list[str]:
+    """Return the main names of the options that the help of a command lists."""
+    listed = command.assemble_argument_collection(parse_docstring=False).filter_by(show=True)
+    return [each.name for each in listed if each.name.startswith("-")]
 
 
 def _has_working_directory() -> bool:

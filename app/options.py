@@ -1,20 +1,37 @@
 """Options shared by several commands: made from settings, checked, and errors that name the option."""
 
+import inspect
 import math
 import os
 import re
 import sys
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, fields, is_dataclass, make_dataclass
+from contextvars import ContextVar
+from dataclasses import dataclass, field, fields, is_dataclass, make_dataclass, replace
+from difflib import get_close_matches
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar, get_args
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    ClassVar,
+    Literal,
+    ParamSpec,
+    TypeVar,
+    cast,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import lazy_loader
-from cyclopts import Parameter, Token, convert
+from cyclopts import Group, Parameter, Token, convert
 
 from gsrain_engine.fields import Field, field_of, fields_of, number_text, option_names
 from gsrain_engine.safe_io.errors import convert_checked
+from gsrain_engine.safe_io.text_files import yaml_values
 from gsrain_engine.trusted_code import UntrustedCodeError, trust, trust_permanently
 
 from .console import print
@@ -25,37 +42,93 @@ else:
     msgspec = lazy_loader.load("msgspec")  # every command imports this module
 
 
-def option(help: str, *names: str, **settings: Any) -> Parameter:
-    """Describe an option: its help, and its names if they are not that of the parameter."""
+TOPICS = (
+    "Options", "Driver", "Scenario", "Method", "Detectors", "Output", "Camera and time", "Views", "Sensor", "Recording",
+    "Service", "Training", "Rain", "Weather and road", "Sensor and glass", "More",
+)  # fmt: skip
+"""Headings of options in the help, in their order."""
+
+_GROUPS = {topic: Group(topic, sort_key=place) for place, topic in enumerate(TOPICS)}
+OPTIONS = _GROUPS["Options"]
+"""Heading of options without a topic."""
+
+_lists_all = ContextVar("lists_all", default=False)
+
+
+class _OnlyInAll:
+    """Visibility of an option that only `--help-all` lists."""
+
+    def __bool__(self) -> bool:
+        return _lists_all.get()
+
+    def __xor__(self, other: bool) -> bool:  # cyclopts compares so
+        return bool(self) ^ other
+
+
+@contextmanager
+def all_listed() -> Generator[None]:
+    """List rare options in the help, too."""
+    before = _lists_all.set(True)
+    try:
+        yield
+    finally:
+        _lists_all.reset(before)
+
+
+def option(help: str, *names: str, topic: str = "", rare: bool = False, **settings: Any) -> Parameter:
+    """Describe an option: its help, its names if they are not that of the parameter, and its heading in the help.
+
+    A `rare` option is listed by --help-all only.
+    """
+    if topic:
+        settings["group"] = _GROUPS[topic]
+    if rare:
+        settings["show"] = _OnlyInAll()
     return Parameter(name=names or None, help=help, **settings)
 
 
-def flag(help: str) -> Parameter:
+def flag(help: str, topic: str = "", *, rare: bool = False) -> Parameter:
     """Describe an option without a value and without a negative."""
-    return Parameter(help=help, negative="")
+    return option(help, topic=topic, rare=rare, negative="")
 
 
-JsonFile = Annotated[Path | None, option("Write the reported numbers to this file.", "--json")]
+JsonFile = Annotated[Path | None, option("Write the reported numbers to this file.", "--json", topic="Output")]
 JsonFileOrScreen = Annotated[
-    Path | None, option("Write the numbers to this file; - prints them.", "--json", allow_leading_hyphen=True)
+    Path | None,
+    option("Write the numbers to this file; - prints them.", "--json", topic="Output", allow_leading_hyphen=True),
 ]
 AllowOutside = Annotated[
-    bool, flag("Read files that a capture's own files name outside of its folder: absolute, by .., or through links.")
+    bool,
+    flag(
+        "Read files that a capture's own files name outside of its folder: absolute, by .., or through links.",
+        "More",
+    ),
 ]
-Preset = Annotated[str | None, option("Rain preset (clear, 1.2, 8.5, 12.0, paper) or a preset file.")]
+Preset = Annotated[str | None, option("Rain preset (clear, 1.2, 8.5, 12.0, paper) or a preset file.", topic="Rain")]
 Wet = Annotated[
     bool | None,
     option(
         "Overcast light and wet colors in rain above 0.3 mm/h; computed first, and kept, if the scene has none. "
-        "--no-wet is as lit. Default: where the scene has them."
+        "--no-wet is as lit. Default: where the scene has them.",
+        topic="Weather and road",
     ),
 ]
-BACKEND = option("Renderer; auto is the fastest here: OpenGL on a GPU, else the CPU.")
+BACKEND = option("Renderer; auto is the fastest here: OpenGL on a GPU, else the CPU.", topic="More", rare=True)
 
 
 # Options made from the field table
 
 Settings = TypeVar("Settings")
+Passed, Returned = ParamSpec("Passed"), TypeVar("Returned")
+
+SetFields = Annotated[
+    list[str] | None,
+    option(
+        "NAME=VALUE sets any field of the settings, also one without an option, such as roughness_m=0.03. May be given "
+        "several times.",
+        "--set", topic="More", negative="",
+    ),
+]  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,14 +136,37 @@ class StructOptions:
     """Options of a command that set fields of a settings struct, under the names of these; None changes nothing."""
 
     kind: ClassVar[type]
+    fixed: ClassVar[Mapping[str, str]]
+    """Fields that another option of the command sets, and that option."""
+
+    assigned: Annotated[Mapping[str, Any], Parameter(parse=False)] = field(default_factory=dict)
+    """Values of --set by field."""
 
     def changes(self) -> dict[str, Any]:
-        """Return the values of the options that were set, by field."""
+        """Return the values of the options that were set, and those of --set, by field."""
         found: dict[str, Any] = {}
         for each in fields_of(self.kind):
             if (value := getattr(self, each.name, None)) is not None:
                 found |= _values(self.kind, each, value)
-        return found
+        return found | dict(self.assigned)
+
+    def assigning(self, name: str, text: str) -> "StructOptions":
+        """Return the options with a field set by --set.
+
+        Raises ValueError, which names the field, for an invalid value and for a field that has another one already.
+        """
+        setting = field_of(self.kind, name)
+        if name in self.changes():
+            other = "--set" if name in self.assigned else setting.options[0]
+            raise ValueError(f"--set {name}: {other} sets it, too")
+        if name in self.fixed:
+            raise ValueError(f"--set {name}: {self.fixed[name]} sets it here")
+        kind = get_type_hints(self.kind, include_extras=True)[name]
+        try:
+            value = convert_checked(_assigned_value(setting, text), kind)
+        except ValueError as error:
+            raise ValueError(f"--set {name}: {error}") from None
+        return replace(self, assigned={**self.assigned, name: msgspec.to_builtins(value)})
 
     def settings(self, base: Any = None, **values: Any) -> Any:
         """Return the struct: `base`, or its defaults, with the options set, and `values`.
@@ -82,7 +178,13 @@ class StructOptions:
 
 
 def options_of(
-    kind: type, command: str, default: str = "Default: {}.", defaults: Mapping[str, str] | None = None
+    kind: type,
+    command: str,
+    default: str = "Default: {}.",
+    defaults: Mapping[str, str] | None = None,
+    *,
+    topic: str,
+    fixed: Mapping[str, str] | None = None,
 ) -> type[StructOptions]:
     """Make the options of a command from the fields of a settings struct that list it in `commands`.
 
@@ -91,6 +193,8 @@ def options_of(
         command: Name of the command, such as `render` or `evaluate lidar`.
         default: Sentence about the default for the help; {} is the struct's.
         defaults: Defaults of this command by field, as text.
+        topic: Heading in the help of fields without one of their own.
+        fixed: Fields that another option of the command sets, and that option: --set refuses them.
     """
     made: dict[tuple[str, ...], tuple[Any, ...]] = {}
     for each in fields_of(kind):
@@ -98,25 +202,86 @@ def options_of(
             text = (defaults or {}).get(each.name, _spelled(each, each.default_text))
             has_ending = (text or "{}" not in default) and "on" not in each.extra
             ending = default.format(text) if has_ending else ""
-            annotated = Annotated[_option_type(kind, each) | None, setting(kind, each.name, ending)]
+            described = setting(kind, each.name, ending, topic, rare=each.is_rare(command))
+            annotated = Annotated[_option_type(kind, each) | None, described]
             is_required = each.default is msgspec.NODEFAULT and "{}" in default  # else a file has it
             made.setdefault(each.options, (each.name, annotated) if is_required else (each.name, annotated, None))
     made_class = make_dataclass(
         f"{kind.__name__}Options", made.values(), bases=(StructOptions,), frozen=True, kw_only=True,
-        namespace={"kind": kind, "__doc__": f"Fields of {kind.__name__}.", "__module__": __name__},
+        namespace={"kind": kind, "fixed": fixed or {}, "__doc__": f"{kind.__name__}.", "__module__": __name__},
     )  # fmt: skip
     return Parameter(name="*")(made_class)  # fields are options of the command, without a prefix
 
 
-def setting(kind: type, name: str, ending: str = "") -> Parameter:
-    """Describe an option that sets a field of a struct: its names and its help, followed by `ending`."""
+def setting(kind: type, name: str, ending: str = "", topic: str = "", *, rare: bool = False) -> Parameter:
+    """Describe an option that sets a field of a struct: its names and its help, followed by `ending`.
+
+    Its heading is the field's own, else `topic`.
+    """
     field = field_of(kind, name)
     sharing, is_text = _sharing(kind, field), _option_type(kind, field) is str
     form = "Several with commas." if is_text and any(each.item is not None for each in sharing) else ""
     form = "As WIDTHxHEIGHT." if field.is_size else form
     text = " ".join(filter(None, (*(each.described for each in sharing), form, ending)))
     more: dict[str, Any] = {"negative": ""} if _is_struct(field.item) else {}
-    return option(text, *field.options, **more)
+    return option(text, *field.options, topic=field.extra.get("topic", topic), rare=rare, **more)
+
+
+def takes_set(command: Callable[Passed, Returned]) -> Callable[Passed, Returned]:
+    """Add the option --set to a command, for all fields of the structs whose options it has."""
+    hints = get_type_hints(command).items()
+    kinds = {place: kind for place, hint in hints for kind in (hint, *get_args(hint)) if _is_struct_options(kind)}
+
+    @wraps(command)
+    def run(*args: Any, set: list[str] | None = None, **options: Any) -> Any:
+        for word in set or ():
+            name, is_there, text = word.partition("=")
+            if not is_there:
+                raise ValueError(f"--set {word}: expected NAME=VALUE, such as --set roughness_m=0.03")
+            place, name = _place_of(name.strip(), kinds)
+            options[place] = (options.get(place) or kinds[place]()).assigning(name, text.strip())
+        return command(*args, **options)
+
+    signature = inspect.signature(command)
+    added = inspect.Parameter("set", inspect.Parameter.KEYWORD_ONLY, default=None, annotation=SetFields)
+    run.__signature__ = signature.replace(parameters=[*signature.parameters.values(), added])  # pyright: ignore
+    run.__annotations__ = {**command.__annotations__, "set": SetFields}
+    return cast("Callable[Passed, Returned]", run)
+
+
+def _place_of(name: str, kinds: Mapping[str, type[StructOptions]]) -> tuple[str, str]:
+    """Return parameter and field of a name, `field` or `parameter.field`. Raises ValueError if that is not one."""
+    found: dict[type, tuple[str, str]] = {}  # of two parameters of one struct that with an option, or the first
+    like: dict[str, str] = {}
+    for place, options in kinds.items():
+        for each in fields_of(options.kind):
+            is_first = options.kind not in found or hasattr(options, each.name)
+            if is_first and name in (each.name, f"{place}.{each.name}"):
+                found[options.kind] = place, each.name
+            like |= {each.name: each.name} | {option.lstrip("-"): each.name for option in each.options}
+    if len(found) > 1:
+        raise ValueError(f"--set {name}: it is {' or '.join(map('.'.join, found.values()))}")
+    if not found:
+        near = get_close_matches(name, like, 1)
+        hint = f"did you mean {like[near[0]]}?" if near else "gsrain schema lists the fields of each kind"
+        raise ValueError(f"--set {name}: no such setting; {hint}")
+    return next(iter(found.values()))
+
+
+def _is_struct_options(kind: Any) -> bool:
+    return isinstance(kind, type) and issubclass(kind, StructOptions)
+
+
+def _assigned_value(field: Field, text: str) -> Any:
+    """Return the value of --set: words as they are, lists with brackets or without, and else YAML."""
+    if field.is_optional and text == "none" and "none" not in field.choices:
+        return None
+    if field.kind in (str, Path) or field.choices:
+        return text
+    if get_origin(field.kind) is tuple and not text.startswith("["):
+        text = f"[{text}]"
+    value = yaml_values(text.encode())
+    return as_number(value) if isinstance(value, str) else value  # YAML 1.1 reads 1e-3 as a word
 
 
 def _sharing(kind: type, field: Field) -> list[Field]:
@@ -193,7 +358,7 @@ def option_error(message: str, kind: type) -> str:
     """Return an error of msgspec that names options instead of fields."""
     names = option_names(kind)
     if place := _PLACE.search(message):
-        option = names.get(place[1]) or f"--{place[1].replace('_', '-')}"
+        option = names.get(place[1]) or f"--set {place[1]}"
         return f"{option}: {message[: place.start()]}"
     # Errors of a type's own checks name the fields: "last_s must be above first_s ..."
     return _WORD.sub(lambda word: names.get(word[0], word[0]), message)
@@ -305,7 +470,8 @@ Trust = Annotated[
     bool,
     flag(
         "Run Python code that the file names (agents, programs of estimators) without asking. It can do all that you "
-        "can, so read it first."
+        "can, so read it first.",
+        "More",
     ),
 ]
 

@@ -12,26 +12,33 @@ from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.open import load_sorted_scene
 
 from .console import print, run_with_progress
-from .options import JsonFile, Wet, check_within, option, setting
+from .options import JsonFile, Wet, check_within, option, setting, takes_set
 from .outputs import PAGES, check_writable, lock_outputs, write_numbers
 from .render import RainOptions, rainy_light, viewpoint_of
 from .scene import Orientation, timed_path
 
 
+@takes_set
 def publish(
     scene: Annotated[str | None, option("Scene file or folder; default: the built-in street.")] = None,
     /,
     *,
-    output: Annotated[Path, setting(ExportSettings, "output", "Here a web page (.html).")],
+    output: Annotated[Path, setting(ExportSettings, "output", "Here a web page (.html).", "Output")],
     rain: RainOptions | None = None,
-    camera: Annotated[Path | None, option("Camera (JSON, .glb, .gltf), for a page without a path.")] = None,
+    camera: Annotated[
+        Path | None, option("Camera (JSON, .glb, .gltf), for a page without a path.", topic="Camera and time")
+    ] = None,
     camera_path: Annotated[
-        Path | None, option("Camera path: ours, nerfstudio's, 3DGS's cameras.json, a .glb or .gltf.")
+        Path | None,
+        option("Camera path: ours, nerfstudio's, 3DGS's cameras.json, a .glb or .gltf.", topic="Camera and time"),
     ] = None,
     speed: Annotated[
-        float | None, option("Speed on the camera path in m/s; default: its own, or walking pace.")
+        float | None,
+        option("Speed on the camera path in m/s; default: its own, or walking pace.", topic="Camera and time"),
     ] = None,
-    duration: Annotated[float | None, option("Seconds of the path; default: all of it.")] = None,
+    duration: Annotated[
+        float | None, option("Seconds of the path; default: all of it.", topic="Camera and time")
+    ] = None,
     time: Annotated[float, setting(ExportSettings, "first_s")] = 0.0,
     wet: Wet = None,
     orientation: Orientation | None = None,

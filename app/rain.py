@@ -18,6 +18,7 @@ from gsrain_engine.disdrometer.measurement import DisdrometerMeasurement
 from gsrain_engine.disdrometer.netcdf import write_spectra
 from gsrain_engine.disdrometer.tables import load_columns
 from gsrain_engine.disdrometer.virtual import VirtualDisdrometer
+from gsrain_engine.rain.available import check_available
 from gsrain_engine.rain.calibration import save_calibration
 from gsrain_engine.rain.properties import DropSizes
 from gsrain_engine.rain.settings import RainSettings, load_preset
@@ -26,15 +27,16 @@ from gsrain_engine.report.interval import Interval
 from gsrain_engine.report.table import Cell, Table, columns
 
 from .console import Console, print, print_lines, progress_bar
-from .options import JsonFile, Preset, check_within, flag, option, options_of
+from .options import JsonFile, Preset, check_within, flag, option, options_of, takes_set
 from .outputs import check_ending, check_writable, write_numbers
 from .scene import Columns
 
 _COLUMNS = 120  # table width, also if the output is a file
 
-CalibrationOptions = options_of(FitOptions, "calibrate")
+CalibrationOptions = options_of(FitOptions, "calibrate", topic="Method")
 
 
+@takes_set
 def calibrate(
     files: Annotated[list[Path], option("Disdrometer files of one instrument; gzip is fine.")],
     /,
@@ -168,9 +170,12 @@ _ROWS_MM = np.array([0.1, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0])
 _MAX_S, _MAX_RECORDS = 86_400.0, 10_000
 
 _RAIN = RainSettings(intensity_mm_h=8.5)  # without options
-DisdrometerOptions = options_of(RainSettings, "disdrometer", "Default: {}, or the preset's.", {"intensity_mm_h": "8.5"})
+DisdrometerOptions = options_of(
+    RainSettings, "disdrometer", "Default: {}, or the preset's.", {"intensity_mm_h": "8.5"}, topic="Rain"
+)
 
 
+@takes_set
 def disdrometer(
     *,
     rain: DisdrometerOptions | None = None,
@@ -189,7 +194,10 @@ def disdrometer(
     check_ending("--output", output, (".nc",))
     check_writable(output, json)
     base = load_preset(preset) if preset is not None else _RAIN
-    instrument = VirtualDisdrometer(RainSimulation.start((rain or DisdrometerOptions()).settings(base)), area)
+    options = rain or DisdrometerOptions()
+    settings = options.settings(base)
+    check_available(options.changes(), settings, "disdrometer")
+    instrument = VirtualDisdrometer(RainSimulation.start(settings), area)
     with progress_bar("Counting drops", len(times) - 1) as advance:
         counts = []
         for start, end in pairwise(times):

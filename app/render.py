@@ -52,6 +52,7 @@ from .options import (
     option,
     options_of,
     parse_intensities,
+    takes_set,
 )
 from .outputs import check_image, check_writable, lock_outputs, write_numbers
 from .scene import Orientation, TimedPath, timed_path
@@ -62,7 +63,7 @@ _FILE_ENDINGS = (".png", ".jpg", ".jpeg", ".exr", ".npy", ".mp4", ".webm", ".jso
 
 @Parameter(name="*")  # fields are options of the command, without a prefix
 @dataclass(frozen=True, kw_only=True)
-class RainOptions(options_of(RainSettings, "render", "")):
+class RainOptions(options_of(RainSettings, "render", "", topic="Rain")):
     """Rain on the command line."""
 
     preset: Preset = None
@@ -79,9 +80,12 @@ class RainOptions(options_of(RainSettings, "render", "")):
         return rain
 
 
-RecordingOptions = options_of(ExportSettings, "render", defaults={"size_px": "960x640, or the camera's own"})
+RecordingOptions = options_of(
+    ExportSettings, "render", defaults={"size_px": "960x640, or the camera's own"}, topic="Output"
+)
 
 
+@takes_set
 def render(
     scene: Annotated[str | None, option("Scene file or folder; default: the built-in street.")] = None,
     /,
@@ -91,26 +95,51 @@ def render(
     camera: Annotated[
         Path | None,
         option(
-            "Camera (JSON) in the scene's own units and axes, with its lens and rolling shutter if any; a .glb, .gltf."
+            "Camera (JSON) in the scene's own units and axes, with its lens and rolling shutter if any; a .glb, .gltf.",
+            topic="Camera and time",
         ),
     ] = None,
     camera_path: Annotated[
-        Path | None, option("Camera path: ours, nerfstudio's, 3DGS's cameras.json, a .glb or .gltf.")
+        Path | None,
+        option("Camera path: ours, nerfstudio's, 3DGS's cameras.json, a .glb or .gltf.", topic="Camera and time"),
     ] = None,
     rain_keyframes: Annotated[
-        Path | None, option("Rain keyframes (YAML or JSON) in place of the scene's: intensity, wind, wetness, lamps.")
+        Path | None,
+        option(
+            "Rain keyframes (YAML or JSON) in place of the scene's: intensity, wind, wetness, lamps.",
+            topic="Rain",
+            rare=True,
+        ),
     ] = None,
     speed: Annotated[
-        float | None, option("Speed on the camera path in m/s; default: its own, or walking pace.")
+        float | None,
+        option(
+            "Speed on the camera path in m/s; default: its own, or walking pace.", topic="Camera and time", rare=True
+        ),
     ] = None,
-    duration: Annotated[float | None, option("Seconds of video; default: the path's length, at most 10.")] = None,
-    frame: Annotated[int | None, option("Render only this frame of the path or drive, counted from 0.")] = None,
-    depth: Annotated[bool, option("Add depth to the passes: PNG (16 bit, cm), NPY (m) or EXR (m).")] = False,
-    labels: Annotated[LabelFormat | None, option("Also write boxes, visibility, instance masks and depth.")] = None,
+    duration: Annotated[
+        float | None, option("Seconds of video; default: the path's length, at most 10.", topic="Camera and time")
+    ] = None,
+    frame: Annotated[
+        int | None,
+        option("Render only this frame of the path or drive, counted from 0.", topic="Camera and time", rare=True),
+    ] = None,
+    depth: Annotated[
+        bool, option("Add depth to the passes: PNG (16 bit, cm), NPY (m) or EXR (m).", topic="Output", rare=True)
+    ] = False,
+    labels: Annotated[
+        LabelFormat | None,
+        option("Also write boxes, visibility, instance masks and depth.", topic="Output", rare=True),
+    ] = None,
     sheet: Annotated[
-        str | None, option("Image with these intensities (0,1.2,8.5,12) below each other, and what is seen of each.")
+        str | None,
+        option(
+            "Image with these intensities (0,1.2,8.5,12) below each other, and what is seen of each.", topic="Output"
+        ),
     ] = None,
-    mode: Annotated[RenderMode, option("splats for the image; others show the scene without rain.")] = "splats",
+    mode: Annotated[
+        RenderMode, option("splats for the image; others show the scene without rain.", topic="Output", rare=True)
+    ] = "splats",
     wet: Wet = None,
     orientation: Orientation | None = None,
     backend: Annotated[Backend, BACKEND] = "auto",
@@ -213,7 +242,7 @@ def rainy_light(scene: Scene, rain: RainSettings, wet: bool | None, heaviest_mm_
 
 _KEYED_OPTIONS: dict[Keyed, tuple[str, ...]] = {
     "intensity_mm_h": ("intensity_mm_h",), "exposure_s": ("exposure_s",),
-    "wind_m_s": ("wind_speed_m_s", "wind_from_deg"), "wetness": ("wetness",), "lamp_gain": ("lamp_gain",),
+    "wind_m_s": ("wind_speed_m_s", "wind_from_deg", "wind_m_s"), "wetness": ("wetness",), "lamp_gain": ("lamp_gain",),
 }  # fmt: skip
 
 
@@ -270,7 +299,7 @@ def _record(frames: Iterator[Progress], renderer: Renderer, state: RainPropertie
 def _option_values(options: StructOptions) -> dict[str, Any]:
     """Values of the options that were set, by the option's name."""
     names = option_names(options.kind)
-    return {names[field]: value for field, value in options.changes().items()}
+    return {names.get(field, f"--set {field}"): value for field, value in options.changes().items()}
 
 
 def _check_used(given: Mapping[str, Any], export: ExportSettings, sheet: str | None) -> None:

@@ -63,10 +63,11 @@ class Orientation:
         Axis | None,
         option(
             "Axis of the scene that points up; default for Gaussian files: -y. convert turns a single file by it.",
+            topic="More",
             allow_leading_hyphen=True,
         ),
     ] = None
-    meters_per_unit: Annotated[float | None, option("Length of one scene unit in meters.")] = None
+    meters_per_unit: Annotated[float | None, option("Length of one scene unit in meters.", topic="More")] = None
 
     def __post_init__(self) -> None:
         check_within("--meters-per-unit", self.meters_per_unit, *UNIT_M)

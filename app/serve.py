@@ -22,7 +22,7 @@ from gsrain_engine.scene.open import load_sorted_scene
 from gsrain_engine.scene.scene import Scene
 
 from .console import counted, print
-from .options import BACKEND, JsonFile, Wet, check_within, option
+from .options import BACKEND, JsonFile, Wet, check_within, option, takes_set
 from .outputs import check_writable, write_numbers
 from .render import RainOptions, rainy_light, rendered_weather
 from .scene import Orientation
@@ -31,6 +31,7 @@ TOKEN, LOOPBACK, ALPASIM_PORT = "GSRAIN_TOKEN", "127.0.0.1", 50051
 CANVAS_PROGRAM = "CARLA_CANVAS_PARENT_PID"
 
 
+@takes_set
 def serve(
     *scenes: Annotated[str, Parameter(help="Scene files or folders; default: the built-in street.")],
     protocol: Annotated[
@@ -38,23 +39,32 @@ def serve(
         option(
             "alpasim: the sensor simulator of NVIDIA's AlpaSim (SensorsimService). carla-canvas: a renderer of CARLA's "
             "cameras and lidars; needs carla-canvas. browser: a page with a live view and the settings of the rain, "
-            "for machines without a display; needs viser."
+            "for machines without a display; needs viser.",
+            topic="Service",
         ),
     ] = "alpasim",
     host: Annotated[
-        str, option("Address to listen at; one that other machines reach needs --token, and has no page for browsers.")
+        str,
+        option(
+            "Address to listen at; one that other machines reach needs --token, and has no page for browsers.",
+            topic="Service",
+        ),
     ] = LOOPBACK,
     port: Annotated[
-        int | None, option("Port to listen at; 0 is any free one. Default: 50051, and 8080 for browsers.")
+        int | None,
+        option("Port to listen at; 0 is any free one. Default: 50051, and 8080 for browsers.", topic="Service"),
     ] = None,
     token: Annotated[
         str | None,
         option(
             "Calls need the metadata authorization: Bearer TOKEN; a page's address ends with it. Default: the variable "
-            f"{TOKEN}; without it, calls need none, and pages have a random one."
+            f"{TOKEN}; without it, calls need none, and pages have a random one.",
+            topic="Service",
         ),
     ] = None,
-    sessions: Annotated[int, option("Largest number of calls that wait or run, or of browsers, at a time.")] = 16,
+    sessions: Annotated[
+        int, option("Largest number of calls that wait or run, or of browsers, at a time.", topic="Service")
+    ] = 16,
     rain: RainOptions | None = None,
     wet: Wet = None,
     orientation: Orientation | None = None,

@@ -32,14 +32,18 @@ from .options import (
     option,
     options_of,
     split_words,
+    takes_set,
     with_trust,
 )
 from .outputs import check_writable, lock_outputs, write_numbers
 
 SOME_FAILED, INTERRUPTED = 1, 130
-SweepOptions = options_of(DriveSweep, "sweep", "Default: the sweep's.")  # those of a `RenderSweep` are the same
+SweepOptions = options_of(
+    DriveSweep, "sweep", "Default: the sweep's.", topic="Options"
+)  # those of a `RenderSweep` are the same
 
 
+@takes_set
 def sweep(
     sweep: Annotated[str, option(f"YAML file, or a shipped sweep: {', '.join(sweep_names())}.")],
     /,

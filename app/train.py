@@ -23,14 +23,18 @@ from .options import (
     option,
     option_error,
     options_of,
+    takes_set,
 )
 from .outputs import check_scene_folder, check_writable, lock_outputs, report_path, write_numbers
 
-SceneFolder = Annotated[Path, option("Scene folder to write.", "--output", "-o")]
-Report = Annotated[Path | None, option("HTML report of the run; default: SCENE.report.html in the folder of SCENE.")]
-TrainingOptions = options_of(TrainingSettings, "reconstruct")
+SceneFolder = Annotated[Path, option("Scene folder to write.", "--output", "-o", topic="Output")]
+Report = Annotated[
+    Path | None, option("HTML report of the run; default: SCENE.report.html in the folder of SCENE.", topic="Output")
+]
+TrainingOptions = options_of(TrainingSettings, "reconstruct", topic="Training")
 
 
+@takes_set
 def reconstruct(
     capture: Annotated[Path, option("COLMAP, nerfstudio, DGP, nuScenes, KITTI, Waymo, or a capture folder.")],
     /,
@@ -82,10 +86,13 @@ def reconstruct(
 
 # gsrain recolor
 
-SolverOptions = options_of(RecolorSettings, "recolor")
-RunOptions = options_of(RecolorOptions, "recolor")
+SolverOptions = options_of(RecolorSettings, "recolor", topic="Method")
+RunOptions = options_of(
+    RecolorOptions, "recolor", topic="Method", fixed={"colors": "each of its fields, such as --set iterations=20,"}
+)
 
 
+@takes_set
 def recolor(
     scene: Annotated[str, option("Scene file or folder; street is the built-in street.")],
     /,

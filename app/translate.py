@@ -44,31 +44,37 @@ from .options import (
     named_options,
     option,
     options_of,
+    takes_set,
     with_trust,
 )
 from .outputs import check_image, check_writable, claim_outputs, lock_outputs, write_numbers
 
 ViewChoiceOptions = options_of(
-    ViewChoice, "transfer", defaults={"count": "24, of a recording all", "width_px": "their own, at most 960"}
+    ViewChoice,
+    "transfer",
+    defaults={"count": "24, of a recording all", "width_px": "their own, at most 960"},
+    topic="Views",
 )
 
 
 @Parameter(name="*")  # fields are options of the command, without a prefix
 @dataclass(frozen=True, kw_only=True)
-class MethodOptions(options_of(TransferSettings, "transfer")):
+class MethodOptions(options_of(TransferSettings, "transfer", topic="Method")):
     """Transfer method and its settings."""
 
     method: Annotated[
         str,
         option(
             "wet: computed, no weights; cyclegan-turbo: the paper's model; images: --images; or one of an "
-            "installed package."
+            "installed package.",
+            topic="Method",
         ),
     ] = "wet"
     rain: Annotated[
-        float | None, option("wet: wetness of steady rain of this intensity in mm/h.", "--rain", "--intensity")
+        float | None,
+        option("wet: wetness of steady rain of this intensity in mm/h.", "--rain", "--intensity", topic="Method"),
     ] = None
-    no_normals: Annotated[bool, flag("cyclegan-turbo: same as --normals none.")] = False
+    no_normals: Annotated[bool, flag("cyclegan-turbo: same as --normals none.", "Method", rare=True)] = False
 
     def checked(self) -> TransferSettings:
         """Return the settings. Raises ValueError, which names the option, for invalid ones."""
@@ -98,15 +104,18 @@ class MethodOptions(options_of(TransferSettings, "transfer")):
             raise MissingInputsError(missing)
 
 
+@takes_set
 def transfer(
     source: Annotated[str, option("Scene file or folder, street (the built-in one), or a capture.")],
     /,
     *,
-    output: Annotated[Path, option("Folder to write: a capture of rainy images.", "--output", "-o")],
+    output: Annotated[Path, option("Folder to write: a capture of rainy images.", "--output", "-o", topic="Output")],
     method: MethodOptions | None = None,
     views: ViewChoiceOptions | None = None,
-    capture: Annotated[Path | None, option("Capture with the recorded cameras of a scene.")] = None,
-    contact_sheet: Annotated[Path | None, option("Also write an image of some views before and after.")] = None,
+    capture: Annotated[Path | None, option("Capture with the recorded cameras of a scene.", topic="Views")] = None,
+    contact_sheet: Annotated[
+        Path | None, option("Also write an image of some views before and after.", topic="Output")
+    ] = None,
     allow_outside: AllowOutside = False,
     json: JsonFile = None,
 ) -> None:
@@ -138,16 +147,19 @@ def transfer(
 
 _COLUMNS = 110
 
-FinetuneOptions = options_of(FinetuningSettings, "train-transfer", "Default: what CONFIG says.")
-ImageOptions = options_of(ImageSettings, "train-transfer", "Default: what CONFIG says.")
+FinetuneOptions = options_of(FinetuningSettings, "train-transfer", "Default: what CONFIG says.", topic="Training")
+ImageOptions = options_of(ImageSettings, "train-transfer", "Default: what CONFIG says.", topic="Views")
 
 
+@takes_set
 def train_transfer(
     config: Annotated[str, option(f"YAML file, or shipped settings: {', '.join(finetuning_names())}.")],
     /,
     *,
-    output: Annotated[Path, option("Folder for weights, checkpoint, losses, samples.", "--output", "-o")],
-    resume: Annotated[bool, flag("Continue from the checkpoint in FOLDER.")] = False,
+    output: Annotated[
+        Path, option("Folder for weights, checkpoint, losses, samples.", "--output", "-o", topic="Output")
+    ],
+    resume: Annotated[bool, flag("Continue from the checkpoint in FOLDER.", "Training")] = False,
     options: FinetuneOptions | None = None,
     images: ImageOptions | None = None,
     trust: Trust = False,

@@ -65,8 +65,10 @@ def commands_page() -> str:
     """Write the reference of the command line, from the program itself."""
     _import_from_checkout()
     from app.main import app
+    from app.options import all_listed
 
-    text = app.generate_docs(output_format="markdown")
+    with all_listed():
+        text = app.generate_docs(output_format="markdown")
     text = _LISTS.sub("", _CONTENTS.sub("", text, count=1))
     text = text.replace("# gsrain\n", "# Commands\n", 1).replace("```console\n", "```text\n")
     text = text.replace(' *[default: ""]*', "").replace("*[default: ", "*[").replace("**[required]**", "*[required]*")
@@ -74,8 +76,8 @@ def commands_page() -> str:
     heading, usage, *rest = re.split(r"(?=^## )", text, maxsplit=1, flags=re.MULTILINE)[0].split("\n\n", 2)
     body = re.split(r"(?=^## )", text, maxsplit=1, flags=re.MULTILINE)[1]
     how = (
-        "What `gsrain COMMAND --help` says, made from the program when this site was built. Every command prints what "
-        "it wrote; `--json FILE` keeps the numbers that it reports; bad input ends with exit code 2 and one line, "
+        "What `gsrain COMMAND --help-all` says, made from the program when this site was built. Every command prints "
+        "what it wrote; `--json FILE` keeps the numbers that it reports; bad input ends with exit code 2 and one line, "
         "Ctrl-C with 130."
     )
     parts = [heading, how, usage, *rest, window_table()]

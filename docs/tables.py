@@ -4,8 +4,10 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
+from app.main import benchmarks, evaluations, view
 from docs import api_page
 from gsrain_engine.scene.formats.registry import FORMATS
+from ui.commands.table import BENCHMARKS, EVALUATIONS, SHELL_COMMANDS
 from ui.panels.registry import BUILT_IN_PANELS, DockSide, Panel
 
 DOCS = Path(__file__).resolve().parent
@@ -23,6 +25,17 @@ def formats() -> str:
     """Return the table of scene formats."""
     rows = [f"| `{each.suffix}` | {'yes' if each.write else 'no'} | {each.description} |" for each in FORMATS]
     return "\n".join(["", "| file | written | contents |", "|---|---|---|", *rows, "", ""])
+
+
+def commands() -> str:
+    """Return the table of all commands, each with its sentence of the help."""
+    rows = [("gsrain [SCENE]", (view.__doc__ or "").strip())]
+    rows += [(f"gsrain {name}", summary) for name, (_, summary) in SHELL_COMMANDS.items()]
+    for group, members in ((evaluations, EVALUATIONS), (benchmarks, BENCHMARKS)):
+        rows.append((f"gsrain {group.name[0]}", group.help))
+        rows += [(f"gsrain {group.name[0]} {name}", summary) for name, (_, summary) in members.items()]
+    lines = [f"| `{command}` | {summary.partition(chr(10) * 2)[0]} |" for command, summary in rows]
+    return "\n".join(["", "| command | does |", "|---|---|", *lines, "", ""])
 
 
 def panels() -> str:
@@ -49,6 +62,7 @@ def _described(panel: Panel) -> str:
 
 
 PAGES: dict[str, Callable[[], str]] = {
+    "../README.md": commands,
     "formats.md": formats,
     "guide/panels.md": panels,
     "python.md": api_page.tables,

@@ -6,8 +6,9 @@ may be None, or of the numbers in a tuple, are in a `Meta` of their own around `
 * `unit`
 * `none`: label of None; `usual`: first value when None is switched off
 * `group`: heading of the form under which it is drawn; `scale` "log" or `slider_to`: course and end of its slider
-* `commands`: commands, separated by commas, of which it is an option; `option`: names of the option separated by
-  spaces, if it is not named like the field without its unit
+* `commands`: commands, separated by commas, of which it is an option; with a * only --help-all lists it
+* `option`: names of the option separated by spaces, if it is not named like the field without its unit; `topic`: its
+  heading in the help, if it is not that of the struct's options
 * `spelling`: words of the option for the values of a choice; `titles`: words of the form for them
 * `on`: value that an option without a value sets; `path`: the text is a path; `negative`: value that the option sets
   with --no- before its name
@@ -155,7 +156,15 @@ class Field:
     @property
     def commands(self) -> tuple[str, ...]:
         """Commands of the program that have the option."""
-        return tuple(each.strip() for each in self.extra.get("commands", "").split(",") if each)
+        return tuple(each.rstrip("*") for each in self._commands)
+
+    def is_rare(self, command: str) -> bool:
+        """True for an option of a command that only --help-all lists."""
+        return f"{command}*" in self._commands
+
+    @property
+    def _commands(self) -> list[str]:
+        return [each.strip() for each in self.extra.get("commands", "").split(",") if each]
 
     def value_text(self, value: Any) -> str:
         """Return a value without its unit, as a person writes it: at most four digits, on and off, words for None."""

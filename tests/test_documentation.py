@@ -96,7 +96,7 @@ def test_links_lead_to_where_texts_are_in_the_site(site_pages, text, source, pag
 
 def test_the_reference_names_every_command(site_pages):
     text = site_pages.commands_page()
-    assert text.startswith("# Commands\n\nWhat `gsrain COMMAND --help` says")
+    assert text.startswith("# Commands\n\nWhat `gsrain COMMAND --help-all` says")
     headings = set(re.findall(r"^#+ (.*)$", text, re.MULTILINE))
     assert {each.words[0] for each in LISTED if each.words} >= {*SHELL_COMMANDS, "evaluate", "bench"}
     names = {*SHELL_COMMANDS, *(f"evaluate {each}" for each in evaluations), *(f"bench {each}" for each in benchmarks)}

@@ -35,41 +35,63 @@ from ..options import (
     named_options,
     option,
     options_of,
+    takes_set,
 )
 from ..outputs import check_ending, claim_outputs, write_numbers
 from ..render import rainy_light
 
 ViewOptions = options_of(
-    ViewChoice, "evaluate detection", defaults={"sensors": "the one ahead; of a capture, all", "width_px": "960"}
+    ViewChoice,
+    "evaluate detection",
+    defaults={"sensors": "the one ahead; of a capture, all", "width_px": "960"},
+    topic="Views",
 )
-WeatherOptions = options_of(RainSettings, "evaluate detection", defaults={"exposure_s": "the camera's own"})
-ConditionOptions = options_of(DetectionSettings, "evaluate detection", defaults={"diameter_scales": "1"})
+WeatherOptions = options_of(
+    RainSettings,
+    "evaluate detection",
+    defaults={"exposure_s": "the camera's own"},
+    topic="Rain",
+    fixed={"intensity_mm_h": "--rain", "seed": "--seeds", "diameter_scale": "--diameter-scale"},
+)
+ConditionOptions = options_of(
+    DetectionSettings,
+    "evaluate detection",
+    defaults={"diameter_scales": "1"},
+    topic="Rain",
+    fixed={"cameras": "--cameras"},
+)
 
 
+@takes_set
 def detection(
     source: Annotated[str | None, option("Scene or capture; default: the built-in street.", "SCENE|CAPTURE")] = None,
     /,
     *,
-    detector: Annotated[list[Path], flag("ONNX file of a detector; may be given several times.")],
+    detector: Annotated[list[Path], flag("ONNX file of a detector; may be given several times.", "Detectors")],
     description: Annotated[
         list[str] | None,
         flag(
             "Description of the detectors, one for all or one each: a shipped name such as yolox, or a YAML file. "
-            "Default: FILE.yaml next to the ONNX file, else from the file itself."
+            "Default: FILE.yaml next to the ONNX file, else from the file itself.",
+            "Detectors",
         ),
     ] = None,
     conditions: ConditionOptions | None = None,
     views: ViewOptions | None = None,
-    capture: Annotated[Path | None, option("Capture of the scene, whose images are tested too.")] = None,
-    truth: Annotated[Path | None, option("COCO file with ground truth of the capture; default: its 3D boxes.")] = None,
+    capture: Annotated[Path | None, option("Capture of the scene, whose images are tested too.", topic="Views")] = None,
+    truth: Annotated[
+        Path | None, option("COCO file with ground truth of the capture; default: its 3D boxes.", topic="Detectors")
+    ] = None,
     wet: Wet = None,
     preset: Preset = None,
     weather: WeatherOptions | None = None,
     backend: Annotated[Backend, BACKEND] = "auto",
     output: Annotated[
-        Path | None, option("Folder for tables, figures, report.html and numbers.", "--output", "-o")
+        Path | None, option("Folder for tables, figures, report.html and numbers.", "--output", "-o", topic="Output")
     ] = None,
-    video: Annotated[Path | None, option("MP4 or WebM: the views in each rain with the detections.")] = None,
+    video: Annotated[
+        Path | None, option("MP4 or WebM: the views in each rain with the detections.", topic="Output")
+    ] = None,
     allow_outside: AllowOutside = False,
     json: JsonFile = None,
 ) -> None:

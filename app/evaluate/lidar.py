@@ -6,32 +6,47 @@ from typing import Annotated
 from gsrain_engine.datasets.open_source import open_source, source_hash
 from gsrain_engine.evaluation.lidar.sensor import SENSORS, LidarSensor
 from gsrain_engine.evaluation.lidar.session import LidarSettings, evaluate_lidar, open_sensor
+from gsrain_engine.rain.available import check_available
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.scene.open import file_hash
 
 from ..console import print, print_lines, run_with_progress
-from ..options import AllowOutside, JsonFileOrScreen, let_names_lead_outside, named_options, option, options_of
+from ..options import (
+    AllowOutside,
+    JsonFileOrScreen,
+    let_names_lead_outside,
+    named_options,
+    option,
+    options_of,
+    takes_set,
+)
 from ..outputs import claim_outputs, table_stream, write_numbers
 
 LimitOptions = options_of(
     LidarSensor,
     "evaluate lidar",
     defaults={"range_m": "the sensor's; of a capture, estimated", "least_reflectance": "the sensor's"},
+    topic="Sensor",
 )
-AirOptions = options_of(RainSettings, "evaluate lidar")
-ConditionOptions = options_of(LidarSettings, "evaluate lidar")
+AirOptions = options_of(
+    RainSettings, "evaluate lidar", topic="Rain", fixed={"intensity_mm_h": "--rain", "seed": "--seeds"}
+)
+ConditionOptions = options_of(LidarSettings, "evaluate lidar", topic="Rain")
 
 
+@takes_set
 def lidar(
     source: Annotated[str, option("Scene, or capture with lidar; default: the street.", "SCENE|CAPTURE")] = "street",
     /,
     *,
-    output: Annotated[Path, option("Folder for figure, table and sweeps.", "--output", "-o")],
+    output: Annotated[Path, option("Folder for figure, table and sweeps.", "--output", "-o", topic="Output")],
     conditions: ConditionOptions | None = None,
     air: AirOptions | None = None,
-    sensor: Annotated[str, option(f"{', '.join(SENSORS)} (beams, or nm), or a YAML file of a sensor.")] = "64",
+    sensor: Annotated[
+        str, option(f"{', '.join(SENSORS)} (beams, or nm), or a YAML file of a sensor.", topic="Sensor")
+    ] = "64",
     limits: LimitOptions | None = None,
-    write_sweeps: Annotated[bool, option("Write each sweep in rain (.npz).")] = True,
+    write_sweeps: Annotated[bool, option("Write each sweep in rain (.npz).", topic="Output")] = True,
     allow_outside: AllowOutside = False,
     json: JsonFileOrScreen = None,
 ) -> None:
@@ -42,7 +57,9 @@ def lidar(
     as those of clear weather. In a scene a virtual sensor is on the ego's roof.
     """
     let_names_lead_outside(allow_outside)
-    settings, rain = (conditions or ConditionOptions()).settings(), (air or AirOptions()).settings()
+    chosen_air = air or AirOptions()
+    settings, rain = (conditions or ConditionOptions()).settings(), chosen_air.settings()
+    check_available(chosen_air.changes(), rain, "lidar")
     changes = (limits or LimitOptions()).changes()
     claim_outputs(output / "lidar.png", output / "report.html", json, folders=[output])
     with named_options(LidarSensor, "sensor"):

@@ -32,7 +32,7 @@ from gsrain_engine.scene.camera import DEFAULT_EXPOSURE_S
 from gsrain_engine.scene.sensor import DEFAULT_SENSOR, Sensor, load_sensor
 
 from ..console import print_lines, progress_bar
-from ..options import JsonFileOrScreen, check_within, option, options_of, setting
+from ..options import JsonFileOrScreen, check_within, option, options_of, setting, takes_set
 from ..outputs import check_ending, check_writable, table_stream, write_numbers
 
 _AIR = ("wind_speed_m_s", "wind_from_deg", "gust_m_s", "turbulence_m_s")
@@ -41,18 +41,21 @@ RenderedOptions = options_of(
     "evaluate streaks",
     defaults={"intensity_mm_h": "that of each sequence", "sensor": "rainsense"}
     | dict.fromkeys((*_AIR, "calibration"), "that of --conditions"),
+    topic="Rain",
+    fixed={"exposure_s": "--exposure"},
 )
 _MIN_FRAMES, _MAX_FRAMES = 5, 200
 _log = logging.getLogger(__name__)
 
 
+@takes_set
 def streaks(
     real: Annotated[Path, option("RainSense, or one or more of its sequences.", "REAL_DIR")],
     /,
     *,
     rain: RenderedOptions | None = None,
     exposure: Annotated[
-        str | None, setting(RainSettings, "exposure_s", "Several with commas. Default: that of --conditions.")
+        str | None, setting(RainSettings, "exposure_s", "Several with commas. Default: that of --conditions.", "Rain")
     ] = None,
     conditions: Annotated[
         str, option("Shutter and air of each sequence: rainsense, or a file of sample_configs/real_rain's kind.")

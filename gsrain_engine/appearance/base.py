@@ -189,7 +189,7 @@ _Tile = Annotated[
     int,
     Meta(ge=64, le=4096, multiple_of=64, title="Tile",
          description="Larger pictures go through it in overlapping tiles of this side.",
-         extra={"unit": "px", "none": "in one piece", "usual": 512, "commands": "transfer"}),
+         extra={"unit": "px", "none": "in one piece", "usual": 512, "commands": "transfer*"}),
 ]  # fmt: skip
 
 
@@ -225,23 +225,23 @@ class TransferSettings(Settings, frozen=True, kw_only=True, forbid_unknown_field
         title="Guide", extra={"option": "conditioning", "commands": "transfer", "none": "as trained"},
         description="How normals become the fourth channel: their upward component, or luma as in the paper.")] = None
     framing: Annotated[Literal["stretch", "proportions"] | None, Meta(
-        title="Framing", extra={"commands": "transfer", "none": "as trained"},
+        title="Framing", extra={"commands": "transfer*", "none": "as trained"},
         description="stretch: pictures have the size of the training's, whatever their proportions.")] = None
     override: Annotated[bool, Meta(
-        title="Override", extra={"commands": "transfer"},
+        title="Override", extra={"commands": "transfer*"},
         description="Run weights otherwise than they were trained.")] = False
     mutual_attention: Annotated[bool, Meta(
         title="Mutual attention", extra={"option": "cross-view-attention mutual-attention", "commands": "transfer"},
         description="Let each view attend to its neighbors (eq. 16-19).")] = True
     neighbours: Annotated[int, Meta(
-        ge=0, le=16, title="Neighbors", extra={"option": "neighbors", "commands": "transfer"},
+        ge=0, le=16, title="Neighbors", extra={"option": "neighbors", "commands": "transfer*"},
         description="Number of other views that each view attends to.")] = 2
     side_px: _Side | None = 512
     tile_px: _Tile | None = None
     device: Annotated[Literal["auto", "cpu", "cuda"], Meta(
         title="Device", extra={"commands": "transfer"}, description="Device that a learned method runs on.")] = "auto"
     precision: Annotated[Literal["float32", "float16", "bfloat16"], Meta(
-        title="Precision", extra={"commands": "transfer"},
+        title="Precision", extra={"commands": "transfer*"},
         description="Of a learned method's numbers; halves are faster on GPUs, and coarser.")] = "float32"
     # fmt: on
 

@@ -6,14 +6,16 @@ from typing import Any, Literal
 from ..fields import option_names
 from .settings import RainSettings
 
-Source = Literal["scene", "photographs", "Gaussians", "Gaussians with scene", "page", "lidar"]
-"""Sources of pictures: a scene; photographs; files of its Gaussians, which are no pictures; a web page; a lidar."""
+Source = Literal["scene", "photographs", "Gaussians", "Gaussians with scene", "page", "lidar", "disdrometer"]
+"""Sources of pictures: a scene; photographs; files of its Gaussians, which are no pictures; a web page; a lidar; a
+virtual disdrometer."""
 
 _SURFACES = "photographs have no surfaces for it; gsrain reconstruct makes a scene of them, for --scene"
 _PHOTOGRAPHS = "only photographs have a light of their own to keep; --wetness sets that of a scene"
 _FILE = "a file of Gaussians holds streaks and haze only; gsrain render draws it"
 _PAGE = "a page has none; gsrain render draws it"
 _LIDAR = "a lidar has none of it: drops return echoes, and their air takes light away"
+_COUNTED = "a disdrometer counts drops, and draws nothing; gsrain render does"
 _GLASS_DETAILS = "wiper", "glass_wet_s", "glass_dirt", "contact_angle_deg", "glass_distance_m"
 
 _PICTURES = "lamps", "lamp_gain", "mirror", "splashes", "spray", "glass", "sensor", "visibility_m", *_GLASS_DETAILS
@@ -31,6 +33,9 @@ UNAVAILABLE: dict[Source, dict[str, str]] = {
         ("exposure_s", "streaks", "haze", "roofs", "streak_gain", "sensor", "glass", "lamps", "lamp_gain", "mirror",
          "splashes", *_GLASS_DETAILS), _LIDAR
     ) | {"keep_light": _PHOTOGRAPHS},
+    "disdrometer": dict.fromkeys(
+        ("exposure_s", "streaks", "haze", "haze_gain", "streak_gain", "wetness", "keep_light", *_PICTURES), _COUNTED
+    ),
 }  # fmt: skip
 """Reasons by field of the rain."""
 

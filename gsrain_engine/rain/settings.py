@@ -65,7 +65,7 @@ class RainSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         description="Rainfall intensity R. Calibrated up to 13 mm/h.")] = 0.0
     exposure_s: Annotated[ExposureSeconds | None, Meta(
         title="Exposure", extra={
-            "unit": "s", "commands": "render, drive, evaluate detection"},
+            "unit": "s", "topic": "Sensor and glass", "commands": "render, drive, evaluate detection*"},
         description="Exposure time T, in which drops make streaks; without one, the sensor's, or the camera's own "
         "(4 ms by day).")] = None
     seed: Annotated[int, Meta(
@@ -74,19 +74,19 @@ class RainSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         description="Same seed and time, same drops.")] = 0
 
     streaks: Annotated[bool, Meta(
-        title="Streaks", extra={"commands": "render"}, description="Draw near drops as streaks.")] = True
+        title="Streaks", extra={"commands": "render*"}, description="Draw near drops as streaks.")] = True
     haze: Annotated[Literal["medium", "gaussians", "none"], Meta(
-        title="Haze model", extra={"commands": "render", "negative": "none"},
+        title="Haze model", extra={"commands": "render*", "negative": "none"},
         description="Far drops. medium: extinction and airlight along each ray. "
         "gaussians: the paper's. none: not drawn.")] = "medium"
     visibility_m: Annotated[Annotated[float, Meta(ge=10, le=100_000)] | None, Meta(
         title="Fog visibility", extra={
             "unit": "m", "scale": "log", "none": "no fog", "usual": 500.0,
-            "commands": "render, drive, evaluate detection, evaluate lidar"},
+            "topic": "Weather and road", "commands": "render, drive, evaluate detection, evaluate lidar"},
         description="Adds fog without drops, at any intensity: distance at which it leaves 5 % of a contrast "
         "(Koschmieder).")] = None
     roofs: Annotated[bool, Meta(
-        title="Shelter under roofs", extra={"commands": "render"},
+        title="Shelter under roofs", extra={"topic": "Weather and road", "commands": "render*"},
         description="No rain under bridges, canopies and trees.")] = False
     streak_region: Annotated[RegionBox, Meta(
         title="Streak region", extra={"group": "Regions"},
@@ -98,23 +98,25 @@ class RainSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     wind_speed_m_s: Annotated[float, Meta(
         ge=0, le=60, title="Wind speed", extra={
             "unit": "m/s", "group": "Wind and seed", "slider_to": 20.0,
-            "commands": "render, disdrometer, drive, evaluate streaks"},
+            "topic": "Weather and road", "commands": "render, disdrometer, drive, evaluate streaks"},
         description="Mean wind at 10 m above the ground; less below (roughness length).")] = 2.0
     wind_from_deg: Annotated[float, Meta(
         ge=0, le=360, title="Wind from", extra={
             "unit": "deg", "option": "wind-from", "group": "Wind and seed",
-            "commands": "render, disdrometer, drive, evaluate streaks"},
+            "topic": "Weather and road", "commands": "render, disdrometer, drive, evaluate streaks"},
         description="Direction the wind blows from: 0 north (world y), 90 east (world x).")] = 240.0
     wind_m_s: Annotated[tuple[WindComponent, WindComponent] | None, Meta(
         title="Wind", extra={"unit": "m/s", "group": "Wind and seed"},
         description="Horizontal wind at 10 m along world x and y; sets speed and direction.")] = None
     gust_m_s: Annotated[float, Meta(
         ge=0, le=20, title="Gusts", extra={
-            "unit": "m/s", "group": "Wind and seed", "commands": "render, disdrometer, drive, evaluate streaks"},
+            "unit": "m/s", "group": "Wind and seed",
+            "topic": "Weather and road", "commands": "render*, disdrometer, drive*, evaluate streaks"},
         description="Amplitude of the wind's variation over seconds and meters.")] = 0.4
     turbulence_m_s: Annotated[float, Meta(
         ge=0, le=5, title="Turbulence", extra={
-            "unit": "m/s", "group": "Wind and seed", "commands": "render, disdrometer, drive, evaluate streaks"},
+            "unit": "m/s", "group": "Wind and seed",
+            "topic": "Weather and road", "commands": "render*, disdrometer, drive*, evaluate streaks"},
         description="RMS of the air's velocity, along each axis, in eddies that move drops one by one.")] = 0.6
     roughness_m: Annotated[float, Meta(
         ge=0.001, le=2, title="Roughness length", extra={"unit": "m", "group": "Wind and seed", "scale": "log"},
@@ -122,18 +124,18 @@ class RainSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     calibration: Annotated[str, Meta(
         title="Calibration", extra={
-            "commands": "render, disdrometer, drive, evaluate detection, evaluate streaks, evaluate lidar"},
+            "commands": "render*, disdrometer, drive, evaluate detection, evaluate streaks, evaluate lidar"},
         description="Name of a shipped calibration, or a calibration file.")] = "published"
     closure: Annotated[Literal["density", "published"], Meta(
         title="Number of drops from", extra={
-            "option": "drop-density", "commands": "render, disdrometer", "group": "Physics",
+            "option": "drop-density", "commands": "render*, disdrometer", "group": "Physics",
             "spelling": {"flux": "density", "table": "published"},
             "titles": {"density": "rain rate", "published": "table"}},
         description="Rain rate (flux, density): as many drops as the intensity needs. "
         "table (published): those of the calibration's table.")] = "density"
     diameter_scale: Annotated[float, Meta(
         ge=0.25, le=4, title="Drop size factor", extra={
-            "group": "Physics", "scale": "log", "commands": "render, disdrometer, drive"},
+            "group": "Physics", "scale": "log", "commands": "render*, disdrometer, drive*"},
         description="Multiplies all diameters. If the rain rate gives the number of drops, fewer large or more "
         "small ones give the same mm/h.")] = 1.0
     velocity: Annotated[Literal["calibration", "atlas"], Meta(
@@ -163,77 +165,85 @@ class RainSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         description="M: none takes as many as the extinction needs, and splits them up to be smooth.")] = None
     haze_gain: Annotated[float, Meta(
         ge=0, le=50, title="Haze gain",
-        extra={"unit": "x", "group": "Appearance", "slider_to": 10.0, "commands": "render"},
+        extra={"unit": "x", "group": "Appearance", "slider_to": 10.0, "commands": "render*"},
         description="Multiplies the extinction; 1 is physical.")] = 1.0
     streak_gain: Annotated[float, Meta(
         ge=0, le=50, title="Streak gain",
-        extra={"unit": "x", "group": "Appearance", "slider_to": 10.0, "commands": "render, evaluate streaks"},
+        extra={"unit": "x", "group": "Appearance", "slider_to": 10.0, "commands": "render*, evaluate streaks"},
         description="Multiplies the streaks' opacity; 1 is physical.")] = 1.0
     sensor: Annotated[str | None, Meta(
-        title="Camera model",
-        extra={"group": "Camera", "commands": "render, drive, evaluate detection, evaluate streaks"},
+        title="Camera model", extra={
+            "group": "Camera", "topic": "Sensor and glass",
+            "commands": "render, drive, evaluate detection, evaluate streaks"},
         description="Sensor and lens: automotive, pinhole, rainsense, waymo_front, or a sensor file; also sets "
         "exposure, noise, tone curve and JPEG. Without one, drops get the lens and readout of automotive.")] = None
     aperture_mm: Annotated[Annotated[float, Meta(ge=0, le=50)] | None, Meta(
         title="Aperture",
         extra={"unit": "mm", "group": "Camera", "slider_to": 10.0, "none": "the sensor's",
-               "usual": 4.0, "commands": "evaluate streaks"},
+               "usual": 4.0, "topic": "Sensor and glass", "commands": "evaluate streaks"},
         description="Diameter of the lens opening in place of the sensor's; 0 is a pinhole: all sharp.")] = None
     focus_distance_m: Annotated[Annotated[float, Meta(ge=0.2, le=10_000)] | None, Meta(
         title="Focus distance", extra={"unit": "m", "group": "Camera", "scale": "log",
                                        "none": "the sensor's", "usual": 10.0},
         description="Distance that is sharp in place of the sensor's; 10 m for an aperture of your own.")] = None
     glass: Annotated[Literal["none", "windshield", "lens"], Meta(
-        title="Glass", extra={"group": "Glass", "commands": "render, drive, evaluate detection"},
+        title="Glass", extra={
+            "group": "Glass", "topic": "Sensor and glass", "commands": "render, drive, evaluate detection"},
         description="Glass in front of the camera, on which rain lands. windshield: of cameras "
         "that look ahead. lens: of each camera.")] = "none"
     wiper: Annotated[Literal["auto", "off", "interval", "low", "high"], Meta(
-        title="Wiper", extra={"group": "Glass", "commands": "render, drive, evaluate detection"},
+        title="Wiper", extra={
+            "group": "Glass", "topic": "Sensor and glass", "commands": "render*, drive*, evaluate detection*"},
         description="Wiper of the windshield; auto is a rain sensor.")] = "auto"
     glass_wet_s: Annotated[float, Meta(
         ge=0, le=600, title="Rain before start", extra={
-            "unit": "s", "group": "Glass", "slider_to": 60.0, "commands": "render, drive, evaluate detection"},
+            "unit": "s", "group": "Glass", "slider_to": 60.0,
+            "topic": "Sensor and glass", "commands": "render*, drive*, evaluate detection*"},
         description="Time for which rain has landed on the glass at time 0.")] = 20.0
     glass_dirt: Annotated[float, Meta(
-        ge=0, le=1, title="Dirt", extra={"group": "Glass", "commands": "render, drive, evaluate detection"},
+        ge=0, le=1, title="Dirt", extra={
+            "group": "Glass", "topic": "Sensor and glass", "commands": "render*, drive*, evaluate detection*"},
         description="Dirt on the glass, which spreads light as a haze.")] = 0.1
     contact_angle_deg: Annotated[float, Meta(
         ge=15, le=90, title="Contact angle", extra={
             "unit": "deg", "option": "contact-angle", "group": "Glass",
-            "commands": "render, drive, evaluate detection"},
+            "topic": "Sensor and glass", "commands": "render*, drive*, evaluate detection*"},
         description="Angle between drops and glass at the rim: 30 on clean glass, 90 with water repellent.")] = 50.0
     glass_distance_m: Annotated[Annotated[float, Meta(ge=0.005, le=2)] | None, Meta(
         title="Glass distance", extra={
             "unit": "m", "group": "Glass", "scale": "log", "none": "by the kind of glass",
-            "usual": 0.12, "commands": "render, drive, evaluate detection"},
+            "usual": 0.12, "topic": "Sensor and glass", "commands": "render*, drive*, evaluate detection*"},
         description="From the lens along its axis; without one, 0.12 m for a windshield and 0.02 m for a lens.")] = None
     drop_color: Annotated[tuple[Share, Share, Share] | None, Meta(
         title="Drop color",
         description="Display color of drops, rain and fog; without one, those of the scene's sky.")] = None
 
     lamps: Annotated[str | None, Meta(
-        title="Light sources", extra={"group": "Lamps", "commands": "render, drive, evaluate detection"},
+        title="Light sources", extra={
+            "group": "Lamps", "topic": "Weather and road", "commands": "render*, drive, evaluate detection"},
         description="Lamps that light drops and medium: none, auto (found as bright spots of a dark scene), headlights "
         "(of all vehicles, and the scene's fixed lamps), or a file. Default: the scene's own.")] = None
     lamp_gain: Annotated[float, Meta(
         ge=0, le=MAX_LAMP_GAIN, title="Lamp brightness",
-        extra={"unit": "x", "group": "Lamps", "slider_to": 2.0, "commands": "render"},
+        extra={"unit": "x", "group": "Lamps", "slider_to": 2.0, "topic": "Weather and road", "commands": "render*"},
         description="Multiplies the light of all lamps; 0 switches them off.")] = 1.0
     wetness: Annotated[Share | None, Meta(
-        title="Wetness", extra={"commands": "render"},
+        title="Wetness", extra={"topic": "Weather and road", "commands": "render*"},
         description="Share of soaked colors, 0..1; 0 is as lit; without one, it follows the rain.")] = None
     mirror: Annotated[bool, Meta(
-        title="Reflections", extra={"commands": "render, drive, evaluate detection"},
+        title="Reflections", extra={"topic": "Weather and road", "commands": "render*, drive*, evaluate detection*"},
         description="Water on the ground reflects the scene as it is, in scenes with a map of that water.")] = True
     splashes: Annotated[bool, Meta(
-        title="Splashes and rings", extra={"commands": "render, drive, evaluate detection"},
+        title="Splashes and rings", extra={
+            "topic": "Weather and road", "commands": "render*, drive*, evaluate detection*"},
         description="Drops that land throw up crowns near the camera, in scenes with wet colors, and start rings in "
         "water that mirrors.")] = True
     spray: Annotated[bool, Meta(
-        title="Spray", extra={"commands": "render, drive, evaluate detection, evaluate lidar"},
+        title="Spray", extra={
+            "topic": "Weather and road", "commands": "render*, drive*, evaluate detection*, evaluate lidar"},
         description="Fast vehicles throw water from a wet road into a wake, in scenes with wet colors.")] = True
     keep_light: Annotated[bool, Meta(
-        title="Keep the light", extra={"commands": "export-rain, evaluate detection"},
+        title="Keep the light", extra={"topic": "Weather and road", "commands": "export-rain, evaluate detection*"},
         description="Keep sun and shadows of the photographs, which rain above 2.5 mm/h softens to an overcast day "
         "where distances and sky are known.")] = False
     drying_s: Annotated[float, Meta(

@@ -42,25 +42,26 @@ class ExportSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields=
         title="Output", extra={"option": "output o", "path": True, "commands": "render"},
         description="PNG, JPEG, EXR or NPY for a still, MP4 or WebM for a video, a folder for numbered frames.")]
     size_px: Annotated[tuple[Pixels, Pixels] | None, Meta(
-        title="Size", extra={"unit": "px", "commands": "render"},
+        title="Size", extra={"unit": "px", "topic": "Camera and time", "commands": "render"},
         description="Width and height; without them, each rig camera's own.")] = None
     fps: Annotated[float, Meta(
         ge=0.1, le=1000, title="Frame rate", extra={"unit": "fps", "commands": "render"},
         description="Frames per second.")] = 30.0
     first_s: Annotated[float, Meta(
-        ge=-36000, le=36000, title="From", extra={"unit": "s", "option": "time from", "commands": "render"},
+        ge=-36000, le=36000, title="From", extra={
+            "unit": "s", "option": "time from", "topic": "Camera and time", "commands": "render"},
         description="Moment of the first frame.")] = 0.0
     last_s: Annotated[float | None, Meta(
-        title="To", extra={"unit": "s", "option": "to", "commands": "render"},
+        title="To", extra={"unit": "s", "option": "to", "topic": "Camera and time", "commands": "render*"},
         description="Moment at which the clip ends; without one, where the path ends.")] = None
     supersampling: Annotated[int, Meta(
-        ge=1, le=4, title="Supersampling", extra={"commands": "render"},
+        ge=1, le=4, title="Supersampling", extra={"topic": "Camera and time", "commands": "render*"},
         description="Draw so many times wider and higher, and take the mean. Which drops exist stays the same.")] = 1
     motion_blur: Annotated[int, Meta(
-        ge=1, le=64, title="Motion blur", extra={"commands": "render"},
+        ge=1, le=64, title="Motion blur", extra={"topic": "Camera and time", "commands": "render*"},
         description="So many sub-frames over the exposure, averaged in linear light. 1 is none.")] = 1
     cameras: Annotated[tuple[str, ...], Meta(
-        title="Cameras", extra={"commands": "render"},
+        title="Cameras", extra={"topic": "Camera and time", "commands": "render"},
         description="Rig cameras (RIG, RIG/NAME, NAME, or all); each gets a file of its own. Without one, the camera "
         "path.")] = ()
     passes: Annotated[tuple[Pass, ...], Meta(
@@ -72,24 +73,24 @@ class ExportSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields=
         description="The same without drops and haze, as NAME.clear, for paired tests. sunny: at 0 mm/h, as the scene "
         "is lit. overcast: in the light and the wet colors of the rain.")] = None
     lod: Annotated[Lod | None, Meta(
-        title="Level of detail", extra={"commands": "render, drive"},
+        title="Level of detail", extra={"topic": "More", "commands": "render*, drive"},
         description="pixel merges details smaller than a pixel, which makes large scenes faster; off draws every "
         "Gaussian. None takes pixel from 1.5 million Gaussians on, except for NPY. Depth and labels are always exact.",
     )] = None
     projection: Annotated[Projection, Meta(
-        title="Projection", extra={"commands": "render"},
+        title="Projection", extra={"topic": "Camera and time", "commands": "render*"},
         description="360: equirectangular, twice as wide as high, level, with the camera's heading in the middle. "
         "stereo: left and right eye side by side, 65 mm apart. Both without the sensor's picture and water on glass.",
     )] = "perspective"
     transparent: Annotated[bool, Meta(
-        title="Transparent background", extra={"commands": "render"},
+        title="Transparent background", extra={"commands": "render*"},
         description="Leave out the sky layers, and write what covers a pixel as its alpha: PNG, EXR, NPY, or WebM "
         "(VP9).")] = False
     codec: Annotated[Codec, Meta(
-        title="Codec", extra={"commands": "render"},
+        title="Codec", extra={"commands": "render*"},
         description="auto goes by the output's ending: H.264 in MP4, VP9 in WebM, PNG frames.")] = "auto"
     quality: Annotated[int | None, Meta(
-        title="Quality", extra={"commands": "render"},
+        title="Quality", extra={"commands": "render*"},
         description="Constant rate factor of a video, lower is better: 0..51 (H.264; none: 18), 0..63 (VP9, none: 24; "
         "AV1, none: 28). Of JPEG 1..100, higher is better; none: 93.")] = None
     # fmt: on

@@ -75,7 +75,7 @@ class Scenario(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
         title="Scene", extra={"commands": "drive"},
         description="Scene file or folder, or street (the built-in one).")] = "street"  # fmt: skip
     rig: Annotated[str | None, Meta(
-        title="Rig", extra={"commands": "drive"},
+        title="Rig", extra={"commands": "drive*"},
         description="Camera rig of the scene; none takes its first.")] = None  # fmt: skip
     picture_width_px: Annotated[int, Meta(
         ge=64, le=4096, multiple_of=2, title="Picture width",

@@ -8,7 +8,10 @@ import pytest
 from cyclopts import CycloptsError
 
 from app.main import app, run, spelled_out
-from app.options import reject_non_finite
+from app.options import reject_non_finite, takes_set
+from app.render import RainOptions
+from gsrain_engine.rain.settings import RainSettings
+from gsrain_engine.safe_io.errors import convert_checked
 
 OPTIONS = {
     "render": "--rain --intensity --preset --camera --camera-path --size --fps --duration --time --seed --exposure "
@@ -38,7 +41,7 @@ OPTIONS = {
 
 @pytest.mark.parametrize("command", OPTIONS)
 def test_a_command_has_the_options_that_are_relied_on(command, capsys):
-    assert run([*command.split(), "--help"]) == 0
+    assert run([*command.split(), "--help-all"]) == 0
     listed = set(re.findall(r"(?<![\w-])--?[a-z][a-z-]*", capsys.readouterr().out))
     assert set(OPTIONS[command].split()) - listed == set()
 
@@ -112,3 +115,73 @@ def test_wet_has_three_states(command, line, wet):
     words = f"{command} {line} -o a.png".split()
     _, bound, _ = app.parse_args(words, exit_on_error=False, print_error=False)
     assert bound.arguments.get("wet") is wet
+
+
+# --set
+
+
+@pytest.mark.parametrize(
+    ("words", "problem"),
+    [
+        ("rougness_m=1", "--set rougness_m: no such setting; did you mean roughness_m?"),
+        ("rain=3", "--set rain: no such setting; did you mean intensity_mm_h?"),
+        ("roughness_m", "--set roughness_m: expected NAME=VALUE"),
+        ("roughness_m=9", "--set roughness_m: Expected `float` <= 2.0"),
+        ("roughness_m=rough", "--set roughness_m: Expected a number"),
+        ("velocity=fast", "--set velocity: "),
+        ("seed=3 --seed 4", "--set seed: --seed sets it, too"),
+        ("seed=3 --set seed=4", "--set seed: --set sets it, too"),
+        ("glass=lens", "--glass: a disdrometer counts drops"),
+    ],
+)
+def test_set_refuses_what_it_can_not_set(words, problem, capsys):
+    assert run(["disdrometer", "--set", *words.split()]) == 2
+    assert problem in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("line", "problem"),
+    [
+        ("drive --set intensity_mm_h=3", "--set intensity_mm_h: --rain sets it here"),
+        ("drive --set controller=3", "--set controller: Expected an object"),
+        ("train-transfer tiny -o a --set seed=3", "--set seed: it is options.seed or images.seed"),
+        ("evaluate lidar -o a --set glass=lens", "--glass: a lidar has none of it"),
+        ("recolor street --images a -o b --set colors={}", "--set colors: "),
+    ],
+)
+def test_set_names_the_option_or_the_settings_that_are_meant(line, problem, capsys):
+    assert run(line.split()) == 2
+    assert problem in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.parametrize(
+    ("assigned", "changes"),
+    [
+        ("roughness_m=0.03", {"roughness_m": 0.03}),
+        ("roughness_m=3e-2", {"roughness_m": 0.03}),
+        ("wind_m_s=3,-4", {"wind_m_s": [3, -4]}),
+        ("haze_region={minimum_m: [0, 0, 0], maximum_m: [1, 1, 1]}",
+         {"haze_region": {"minimum_m": [0, 0, 0], "maximum_m": [1, 1, 1]}}),
+        ("haze_count=none", {"haze_count": None}),
+        ("wiper=off", {"wiper": "off"}),
+        ("calibration=1.2", {"calibration": "1.2"}),
+        ("closure=published", {"closure": "published"}),
+    ],
+)  # fmt: skip
+def test_set_takes_the_values_of_settings_files(assigned, changes):
+    passed = {}
+
+    @takes_set
+    def command(*, rain: RainOptions | None = None) -> None:
+        passed["rain"] = rain
+
+    command(set=[assigned])
+    own = RainSettings(haze_count=5)
+    assert passed["rain"].settings(own) == convert_checked({"haze_count": 5} | changes, RainSettings) != own
+
+
+def test_a_field_is_set_like_its_option(reported):
+    """After a preset, with the same numbers as by the option."""
+    words = ["disdrometer", "--preset", "12.0", "--seconds", "2"]
+    assert reported(*words, "--set", "diameter_scale=2") == reported(*words, "--diameter-scale", "2")
+    assert reported(*words, "--set", "velocity=atlas") != reported(*words)

@@ -40,17 +40,17 @@ class DetectionSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fiel
     frames: Annotated[
         int,
         Meta(ge=1, le=10_000, title="Frames", description="Number of moments of the drive; of a capture, images of "
-             "each camera.", extra={"commands": _COMMANDS}),
+             "each camera.", extra={"topic": "Views", "commands": _COMMANDS}),
     ] = 4  # fmt: skip
     first_s: Annotated[
         _MomentS | None,
         Meta(title="From", description="First moment, in scene time.",
-             extra={"unit": "s", "option": "from", "commands": _COMMANDS}),
+             extra={"unit": "s", "option": "from", "topic": "Views", "commands": _COMMANDS}),
     ] = None  # fmt: skip
     last_s: Annotated[
         _MomentS | None,
         Meta(title="To", description="Last moment, in scene time.",
-             extra={"unit": "s", "option": "to", "commands": _COMMANDS}),
+             extra={"unit": "s", "option": "to", "topic": "Views", "commands": _COMMANDS}),
     ] = None  # fmt: skip
     cameras: ViewChoice = ViewChoice(width_px=960)
     """Names and width of the cameras; its number and source of views have no effect."""

@@ -27,7 +27,7 @@ class AgentOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
         title="Detector", extra={"commands": "drive"},
         description="ONNX file of an object detector, for agents that look at pictures.")] = None  # fmt: skip
     description: Annotated[str | None, Meta(
-        title="Its description", extra={"commands": "drive"},
+        title="Its description", extra={"commands": "drive*"},
         description="A shipped detector description such as yolox, or a YAML file.")] = None  # fmt: skip
     url: Annotated[str | None, Meta(
         title="Address", extra={"commands": "drive"},

@@ -1,0 +1,69 @@
+"""Help of every command: the common options by topic in --help, all of them in --help-all, and their names in --set."""
+
+import re
+
+import pytest
+from cyclopts import App
+
+from app.main import app, options_in_help, run
+from app.options import TOPICS, all_listed
+
+MAX_SHOWN = 25
+"""More options than this, and nobody reads them."""
+
+
+def commands(parent: App = app, words: tuple[str, ...] = ()):
+    for name in parent:
+        if not name.startswith("-"):
+            yield (*words, name)
+            yield from commands(parent[name], (*words, name))
+
+
+COMMANDS = [(), *commands()]
+
+
+def command_of(words: tuple[str, ...]) -> App:
+    found = app
+    for word in words:
+        found = found[word]
+    return found
+
+
+def help_of(words, flag, capsys):
+    """The main names of the options in a printed help, in their order, its headings, and its last line."""
+    assert run([*words, flag]) == 0
+    text = capsys.readouterr().out
+    with all_listed():
+        names = options_in_help(command_of(words)) if command_of(words).default_command is not None else []
+    shown = [each for each in names if re.search(rf"^│ .{{0,5}}{each}(?![\w-])", text, re.MULTILINE)]
+    return shown, re.findall(r"^╭─ ([A-Z][a-z ]*?) ─", text, re.MULTILINE), text.rstrip().splitlines()[-1]
+
+
+@pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
+def test_help_lists_the_common_options_and_help_all_lists_all(words, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "150")
+    shown, headings, line = help_of(words, "--help", capsys)
+    everything, all_headings, last = help_of(words, "--help-all", capsys)
+    assert len(shown) <= MAX_SHOWN and set(shown) <= set(everything) and "--help-all" not in last
+    assert ("--help-all" in line) == (len(shown) < len(everything))
+    if len(shown) < len(everything):
+        assert line.endswith(f"--help-all lists all {len(everything)}.")
+    assert set(all_headings) <= {*TOPICS, "Arguments", "Commands"}
+    assert [each for each in all_headings if each in headings] == headings
+
+
+@pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
+def test_every_option_is_listed_under_one_topic(words):
+    command = command_of(words)
+    if command.default_command is None:
+        return
+    with all_listed():
+        listed = command.assemble_argument_collection().filter_by(show=True)
+    options = [each for each in listed if each.name.startswith("-")]
+    assert all([group.name in TOPICS for group in each.parameter.group] == [True] for each in options)
+
+
+def test_a_rare_option_works_without_being_listed():
+    assert "--contact-angle" not in options_in_help(command_of(("render",)))
+    _, bound, _ = app.parse_args(["render", "-o", "a.png", "--contact-angle", "40"], exit_on_error=False)
+    assert bound.arguments["rain"].changes() == {"contact_angle_deg": 40.0}
