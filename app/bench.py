@@ -16,7 +16,8 @@ import msgspec
 import numpy as np
 from jaxtyping import Float32
 
-from gsrain_engine.backends import Backend, device_of, open_renderer
+from gsrain_engine.backends import device_of, open_renderer
+from gsrain_engine.choices import Backend
 from gsrain_engine.editor.viewport.camera import default_path
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.simulation import RainSimulation

@@ -12,7 +12,8 @@ from typing import Annotated, Literal, TypeVar
 import msgspec
 from cyclopts import Parameter
 
-from gsrain_engine.backends import Backend, open_renderer
+from gsrain_engine.backends import open_renderer
+from gsrain_engine.choices import Backend
 from gsrain_engine.rain.available import check_available
 from gsrain_engine.rain.calibration import load_calibration
 from gsrain_engine.rain.properties import extinction_note

@@ -10,9 +10,8 @@ from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.scene.open import load_sorted_scene
 
 from .console import counted, print, print_lines
-from .options import flag, option
+from .options import Orientation, flag, option
 from .outputs import SCREEN, check_scene_target, lock_outputs
-from .scene import Orientation
 
 
 def edit(

@@ -25,6 +25,7 @@ from gsrain_engine.scene.scene import Scene
 from .console import print, run_with_progress
 from .options import (
     JsonFile,
+    Orientation,
     Wet,
     check_within,
     flag,
@@ -37,7 +38,6 @@ from .options import (
 )
 from .outputs import check_writable, lock_outputs, write_numbers
 from .render import RainOptions, rainy_light, viewpoint_of
-from .scene import Orientation
 
 
 @Parameter(name="*")  # fields are options of the command, without a prefix

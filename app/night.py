@@ -9,9 +9,8 @@ from gsrain_engine.scene.lamp_choice import lamp_choice
 from gsrain_engine.scene.open import load_sorted_scene
 
 from .console import counted, print, run_with_progress
-from .options import JsonFile, option
+from .options import JsonFile, Orientation, option
 from .outputs import check_scene_folder, check_writable, lock_outputs, write_numbers
-from .scene import Orientation
 
 
 def night(

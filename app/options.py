@@ -29,6 +29,7 @@ from typing import (
 import lazy_loader
 from cyclopts import Group, Parameter, Token, convert
 
+from gsrain_engine.choices import UNIT_M, Axis
 from gsrain_engine.fields import Field, field_of, fields_of, number_text, option_names
 from gsrain_engine.safe_io.errors import convert_checked
 from gsrain_engine.safe_io.text_files import yaml_values
@@ -38,6 +39,8 @@ from .console import print
 
 if TYPE_CHECKING:
     import msgspec
+
+    from gsrain_engine.scene.scene import Scene
 else:
     msgspec = lazy_loader.load("msgspec")  # every command imports this module
 
@@ -454,6 +457,31 @@ def let_names_lead_outside(allowed: bool) -> None:
         from gsrain_engine.datasets.capture import allow_outside  # only needed for captures
 
         allow_outside(allowed)
+
+
+@Parameter(name="*")  # fields are options of the command, without a prefix
+@dataclass(frozen=True, kw_only=True)
+class Orientation:
+    """Options about axes and units, which Gaussian files don't store."""
+
+    up: Annotated[
+        Axis | None,
+        option(
+            "Axis of the scene that points up; default for Gaussian files: -y. convert turns a single file by it.",
+            topic="More",
+            allow_leading_hyphen=True,
+        ),
+    ] = None
+    meters_per_unit: Annotated[float | None, option("Length of one scene unit in meters.", topic="More")] = None
+
+    def __post_init__(self) -> None:
+        check_within("--meters-per-unit", self.meters_per_unit, *UNIT_M)
+
+    def of(self, scene: "Scene") -> "Scene":
+        """Return the scene in the chosen orientation; rotating it drops its ground height."""
+        from gsrain_engine.editor.edits.level import oriented
+
+        return oriented(scene, self.up, self.meters_per_unit)
 
 
 def window_problem() -> str:

@@ -12,10 +12,10 @@ from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.open import load_sorted_scene
 
 from .console import print, run_with_progress
-from .options import JsonFile, Wet, check_within, option, setting, takes_set
+from .options import JsonFile, Orientation, Wet, check_within, option, setting, takes_set
 from .outputs import PAGES, check_writable, lock_outputs, write_numbers
 from .render import RainOptions, rainy_light, viewpoint_of
-from .scene import Orientation, timed_path
+from .scene import timed_path
 
 
 @takes_set

@@ -10,7 +10,8 @@ from typing import Annotated, Any
 import numpy as np
 from cyclopts import Parameter
 
-from gsrain_engine.backends import Backend, open_renderer
+from gsrain_engine.backends import open_renderer
+from gsrain_engine.choices import FOUND_LAMPS, Backend, LabelFormat, RenderMode
 from gsrain_engine.editor.jobs.record import own_path
 from gsrain_engine.editor.viewport.camera import front_camera, home_camera
 from gsrain_engine.fields import option_names
@@ -24,9 +25,8 @@ from gsrain_engine.rain.streaks import visible_distance_m
 from gsrain_engine.rain.wetness import missing_wet_colors, with_wet_choice
 from gsrain_engine.render.export import export_frames, export_sequences, first_pictures, frame_numbers
 from gsrain_engine.render.export_settings import DEFAULT_SIZE_PX, ExportSettings, export_outputs
-from gsrain_engine.render.object_labels import LabelFormat
 from gsrain_engine.render.provenance import PictureProvenance
-from gsrain_engine.render.renderer import Renderer, RenderMode
+from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.render.sequence import FrameSequence
 from gsrain_engine.report.numbers import write_provenance
 from gsrain_engine.safe_io.errors import convert_checked
@@ -35,7 +35,6 @@ from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.camera_path_io import read_camera_path
 from gsrain_engine.scene.formats.gltf import GLTF
 from gsrain_engine.scene.geometry import srgb_to_linear
-from gsrain_engine.scene.lamp_choice import FOUND_LAMPS
 from gsrain_engine.scene.objects import scene_objects
 from gsrain_engine.scene.open import load_sorted_scene
 from gsrain_engine.scene.progress import Progress
@@ -45,6 +44,7 @@ from .console import counted, print, progress_bar, run_with_progress
 from .options import (
     BACKEND,
     JsonFile,
+    Orientation,
     Preset,
     StructOptions,
     Wet,
@@ -55,7 +55,7 @@ from .options import (
     takes_set,
 )
 from .outputs import check_image, check_writable, lock_outputs, write_numbers
-from .scene import Orientation, TimedPath, timed_path
+from .scene import TimedPath, timed_path
 
 _FILE_ENDINGS = (".png", ".jpg", ".jpeg", ".exr", ".npy", ".mp4", ".webm", ".json")
 """Extensions of written files; any other output is a folder, even with dots: frames.clear, clip.depth."""

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from cyclopts import Parameter
 from PIL import Image
 
 from gsrain_engine.datasets.bags.containers import recognizes_bag
@@ -19,7 +18,7 @@ from gsrain_engine.datasets.open_source import names_scene
 from gsrain_engine.datasets.pose_check import PoseCheck, check_poses
 from gsrain_engine.datasets.summary import CaptureSummary, contact_sheet, summarized
 from gsrain_engine.editor.edits.actors import drive_along, drive_along_own_path
-from gsrain_engine.editor.edits.level import UNIT_M, Axis, level_from_ground, oriented, set_camera_height
+from gsrain_engine.editor.edits.level import level_from_ground, set_camera_height
 from gsrain_engine.editor.viewport.camera import find_scene_core
 from gsrain_engine.render.images import write_image
 from gsrain_engine.report.table import Cell, Table, columns
@@ -46,35 +45,12 @@ from gsrain_engine.scene.scene import Actor, Layer, Scene, bounds
 from gsrain_engine.scene.transforms import with_wetness_baked
 
 from .console import counted, print, print_lines, progress_bar, run_with_progress, wide_console
-from .options import AllowOutside, JsonFile, check_within, flag, let_names_lead_outside, option
+from .options import AllowOutside, JsonFile, Orientation, check_within, flag, let_names_lead_outside, option
 from .outputs import check_image, check_scene_folder, check_scene_target, check_writable, lock_outputs, write_numbers
 
 Columns = Annotated[
     Path | None, option("YAML file that describes the columns of a disdrometer table of unknown format.")
 ]
-
-
-@Parameter(name="*")  # fields are options of the command, without a prefix
-@dataclass(frozen=True, kw_only=True)
-class Orientation:
-    """Options about axes and units, which Gaussian files don't store."""
-
-    up: Annotated[
-        Axis | None,
-        option(
-            "Axis of the scene that points up; default for Gaussian files: -y. convert turns a single file by it.",
-            topic="More",
-            allow_leading_hyphen=True,
-        ),
-    ] = None
-    meters_per_unit: Annotated[float | None, option("Length of one scene unit in meters.", topic="More")] = None
-
-    def __post_init__(self) -> None:
-        check_within("--meters-per-unit", self.meters_per_unit, *UNIT_M)
-
-    def of(self, scene: Scene) -> Scene:
-        """Return the scene in the chosen orientation; rotating it drops its ground height."""
-        return oriented(scene, self.up, self.meters_per_unit)
 
 
 # gsrain info

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 import psutil
 from cyclopts import Parameter
 
-from gsrain_engine.backends import Backend
+from gsrain_engine.choices import Backend
 from gsrain_engine.rain.calibration import load_calibration
 from gsrain_engine.rain.keyframes import NO_KEYFRAMES
 from gsrain_engine.rain.simulation import RainSimulation
@@ -22,10 +22,9 @@ from gsrain_engine.scene.open import load_sorted_scene
 from gsrain_engine.scene.scene import Scene
 
 from .console import counted, print
-from .options import BACKEND, JsonFile, Wet, check_within, option, takes_set
+from .options import BACKEND, JsonFile, Orientation, Wet, check_within, option, takes_set
 from .outputs import check_writable, write_numbers
 from .render import RainOptions, rainy_light, rendered_weather
-from .scene import Orientation
 
 TOKEN, LOOPBACK, ALPASIM_PORT = "GSRAIN_TOKEN", "127.0.0.1", 50051
 CANVAS_PROGRAM = "CARLA_CANVAS_PARENT_PID"

@@ -10,7 +10,7 @@ import av
 from PIL import Image, ImageDraw, ImageFont
 
 from app.main import run
-from gsrain_engine.render.renderer import RenderMode
+from gsrain_engine.choices import RenderMode
 
 IMAGES = Path(__file__).parent / "images"
 _INTENSITIES_MM_H, _SHEET_MM_H = ("1.2", "8.5", "12.0"), ("0", "2.5", "8.5", "25", "50")

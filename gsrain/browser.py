@@ -16,7 +16,8 @@ from urllib.parse import quote
 import numpy as np
 from jaxtyping import UInt8
 
-from gsrain_engine.backends import Backend, open_renderer
+from gsrain_engine.backends import open_renderer
+from gsrain_engine.choices import Backend
 from gsrain_engine.editor.drawing.remote_view import OutdatedPictureError, RemotePictures, RemoteViewer
 from gsrain_engine.editor.viewport.camera import default_path, find_scene_core, front_camera, home_camera
 from gsrain_engine.editor.viewport.options import SETTLED_S, QualityLevel

@@ -7,6 +7,7 @@ from typing import Any
 
 import msgspec
 
+from gsrain_engine.choices import LAMP_WORDS
 from gsrain_engine.editor.document import with_preset
 from gsrain_engine.fields import Field, field_of, fields_of
 from gsrain_engine.presets import shipped_config_names
@@ -14,7 +15,6 @@ from gsrain_engine.rain.settings import CALIBRATED_UP_TO_MM_H, HEAVIEST_MM_H, Re
 from gsrain_engine.rain.settings import RainSettings as RainSettings
 from gsrain_engine.safe_io.errors import convert_checked
 from gsrain_engine.scene.camera import DEFAULT_EXPOSURE_S
-from gsrain_engine.scene.lamp_choice import LAMP_WORDS
 from gsrain_engine.scene.sensor import sensor_names
 
 _ELSEWHERE = ("calibration", "max_copies", "haze_count", "keep_light")

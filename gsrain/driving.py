@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from gsrain_engine.backends import Backend
+from gsrain_engine.choices import Backend
 from gsrain_engine.rain.settings import RainSettings as RainSettings
 from gsrain_engine.scene.scene import Scene
 from gsrain_engine.simulation.agents.base import Agent as Agent

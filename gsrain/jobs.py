@@ -11,7 +11,8 @@ import msgspec
 
 from gsrain_engine.appearance.base import TransferSettings
 from gsrain_engine.appearance.scene_views import ViewChoice
-from gsrain_engine.backends import Backend, open_renderer
+from gsrain_engine.backends import open_renderer
+from gsrain_engine.choices import Backend
 from gsrain_engine.datasets.capture import Capture
 from gsrain_engine.datasets.image_override import with_images
 from gsrain_engine.datasets.open_capture import open_capture

@@ -13,7 +13,8 @@ import numpy as np
 import PIL.Image
 from jaxtyping import Float32, UInt8
 
-from gsrain_engine.backends import Backend, open_renderer
+from gsrain_engine.backends import open_renderer
+from gsrain_engine.choices import Backend
 from gsrain_engine.editor.jobs.record import export_scene
 from gsrain_engine.editor.viewport.camera import default_path, home_camera
 from gsrain_engine.rain.settings import RainSettings as RainSettings

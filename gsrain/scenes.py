@@ -15,10 +15,11 @@ from jaxtyping import Float, Float32, Float64
 from gsrain_engine.appearance.base import TransferSettings
 from gsrain_engine.appearance.registry import find_method
 from gsrain_engine.appearance.scene_views import ViewChoice
+from gsrain_engine.choices import Axis
 from gsrain_engine.datasets.capture import Capture as Capture
 from gsrain_engine.datasets.capture import CaptureError as CaptureError
 from gsrain_engine.datasets.open_capture import open_capture
-from gsrain_engine.editor.edits.level import Axis, oriented
+from gsrain_engine.editor.edits.level import oriented
 from gsrain_engine.editor.steps import EditStep, apply_steps
 from gsrain_engine.editor.viewport import camera as views
 from gsrain_engine.render.export_settings import DEFAULT_SIZE_PX, LARGEST_PX

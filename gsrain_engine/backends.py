@@ -6,12 +6,13 @@ from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from importlib import metadata
 from pathlib import Path
-from typing import Literal, get_args
+from typing import get_args
 
 import moderngl
 import msgspec
 import platformdirs
 
+from .choices import Backend
 from .compile_cache import has_kernels
 from .render.cpu.renderer import CpuRenderer
 from .render.opengl.context import NoOpenGLError, check_context, is_software, open_context
@@ -20,9 +21,6 @@ from .render.renderer import Renderer, processor_name
 from .safe_io.files import whole_file
 from .safe_io.text_files import read_whole
 from .scene.open import random_scene, random_scene_camera
-
-Backend = Literal["auto", "opengl", "opengl-tiles", "opengl-quads", "cpu"]
-"""Renderers: `opengl` is the faster one of its two ways on this device, `auto` the fastest of those and `cpu`."""
 
 
 @contextmanager

@@ -3,9 +3,9 @@
 from typing import get_args
 
 import gsrain as gr
+from gsrain_engine.choices import RenderMode
 from gsrain_engine.editor.steps import EDITS
 from gsrain_engine.editor.viewport.options import Split
-from gsrain_engine.render.renderer import RenderMode
 from ui.commands.table import (
     BENCHMARKS,
     COMMANDS,

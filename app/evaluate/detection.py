@@ -8,7 +8,8 @@ from typing import Annotated
 import msgspec
 
 from gsrain_engine.appearance.scene_views import ViewChoice
-from gsrain_engine.backends import Backend, open_renderer
+from gsrain_engine.backends import open_renderer
+from gsrain_engine.choices import Backend
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.datasets.open_source import missing_source, open_source, source_hash
 from gsrain_engine.evaluation.detection.detector import open_detector

@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from ..render.renderer import RenderMode
+from ..choices import RenderMode
 from ..safe_io.errors import sentence_of
 from ..safe_io.files import FileLock, whole_file
 from ..safe_io.limits import read_file

@@ -1,8 +1,9 @@
 """Set-up of a scene whose file tells neither axes nor unit: which way is up, the scale, the ground, and rain."""
 
+from ..choices import Axis
 from ..scene.scene import Scene
 from .document import Document
-from .edits.level import Axis, guess_orientation, oriented
+from .edits.level import guess_orientation, oriented
 from .viewport_state import ViewportState
 
 SETUP_MM_H = 5.0

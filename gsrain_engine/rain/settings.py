@@ -6,11 +6,9 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
+from ..choices import LAMP_WORDS
 from ..presets import load_config
-from ..scene.lamp_choice import LAMP_WORDS
-from ..scene.sensor import sensor_names
 from ..settings import Settings
-from .calibration import calibration_names
 
 Vector = tuple[float, float, float]
 ExposureSeconds = Annotated[float, Meta(ge=1e-5, le=1)]
@@ -315,5 +313,8 @@ def load_preset(name: str) -> RainSettings:
     Calibration and sensor files that it names are searched for in the preset's folder first. Raises `ValueError` with
     the file, the field and the allowed range.
     """
+    from ..scene.sensor import sensor_names  # NumPy, which the help of commands does without
+    from .calibration import calibration_names
+
     known = {*calibration_names(), *sensor_names(), *LAMP_WORDS}
     return load_config(_FOLDER, name, RainSettings, "preset", RAIN_FILES, known)

@@ -7,12 +7,13 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float32, UInt8
 
+from ..choices import RenderMode
 from ..rain.frame import RainFrame
 from ..scene.camera import Camera
 from ..scene.scene import DrawItem
 from ..water.mirror import SCALES, LensMirror, Mirror
 from .cpu.tiles import TILE
-from .renderer import Color, Frame, PendingImage, Renderer, RenderMode
+from .renderer import Color, Frame, PendingImage, Renderer
 
 MAX_SAMPLES = 1 << 23
 """Samples that are drawn at once, a little more than a picture of 3840x2160 has: 128 MiB of floats."""

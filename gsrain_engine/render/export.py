@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import UInt8, UInt16
 
+from ..choices import RenderMode
 from ..fields import option_words
 from ..rain.settings import RainSettings
 from ..rain.simulation import RainSimulation
@@ -24,7 +25,7 @@ from .images import FrameWriter, open_frame_writer
 from .level_of_detail import lod_cut
 from .object_labels import draw_labels, label_legend
 from .provenance import PictureProvenance, provenance_of
-from .renderer import Frame, PendingImage, Renderer, RenderMode
+from .renderer import Frame, PendingImage, Renderer
 from .sequence import FrameSequence, RigCameraView, common_sky, find_rig_cameras
 
 _PREVIEW_PX = 320

@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 from jaxtyping import Float64
 
+from ..choices import RenderMode
 from ..rain.frame import RainFrame, SkyLight
 from ..rain.simulation import RainSimulation
 from ..scene.lamps import Lamp, LitLamps
@@ -22,7 +23,6 @@ from .bands import PictureBands
 from .level_of_detail import Thinning
 from .mirror_reuse import MirrorReuse
 from .photograph import Photograph
-from .renderer import RenderMode
 from .still_scene import StillScene
 from .view import RenderView, rain_camera
 

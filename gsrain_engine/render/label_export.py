@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, UInt16
 
+from ..choices import LabelFormat
 from ..safe_io.files import whole_file
 from ..scene.camera import Camera
 from ..scene.objects import COCO_CATEGORIES, coco_class, scene_objects
 from ..scene.progress import Progress
 from .export_settings import ExportFiles, ExportSettings, export_files
 from .images import write_labels
-from .object_labels import LabelFormat, VisibleObject, visible_objects
+from .object_labels import VisibleObject, visible_objects
 from .renderer import Renderer
 from .sequence import FrameSequence
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import lazy_loader
 import numpy as np
@@ -17,7 +17,6 @@ from .renderer import Renderer
 
 cv2: Any = lazy_loader.load("cv2")  # `gsrain render` imports this module, and seldom exports boxes
 
-LabelFormat = Literal["coco", "kitti"]
 _MIN_ALPHA = 0.5  # minimum alpha of a labeled pixel, as for depth
 
 

@@ -5,6 +5,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from ..choices import RenderMode
 from ..rain.frame import SkyLight
 from ..rain.keyframes import RainKeyframes
 from ..rain.settings import RainSettings
@@ -15,7 +16,6 @@ from .frame_input import FrameInput, Quality
 from .level_of_detail import LodCut
 from .passes import registry
 from .photograph import Photograph
-from .renderer import RenderMode
 from .view import RenderView
 
 

@@ -9,30 +9,18 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib import metadata
 from pathlib import Path
-from typing import Literal, NamedTuple, Protocol, no_type_check, runtime_checkable
+from typing import NamedTuple, Protocol, no_type_check, runtime_checkable
 
 import numba
 import numpy as np
 from jaxtyping import Float32, UInt8
 
+from ..choices import RenderMode
 from ..kernels import NOGIL
 from ..rain.frame import RainFrame
 from ..scene.camera import Camera
 from ..scene.scene import DrawItem
 from ..water.mirror import LensMirror, Mirror
-
-RenderMode = Literal["splats", "points", "ellipsoids", "depth", "normals", "opacity", "overdraw", "layers"]
-"""Visualization modes. All except `splats` show the scene without rain:
-
-* splats: the image;
-* points: each Gaussian as an opaque dot of one pixel's standard deviation, in its own color;
-* ellipsoids: the surface on which a Gaussian's alpha is 1/4, solid and shaded like a ball;
-* depth: expected depth as a heat color of its logarithm, `NEAREST_M` to `FARTHEST_M`;
-* normals: each Gaussian's shortest axis, facing the camera, as the color 0.5 + 0.5 n of world axes;
-* opacity: each Gaussian's largest alpha, 0 to 1, as a heat color;
-* overdraw: number of fragments per pixel, 0 to `MAX_FRAGMENTS`, as a heat color;
-* layers: each layer and actor in a distinct color.
-"""
 
 
 @dataclass(slots=True)

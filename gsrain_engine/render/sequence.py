@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
+from ..choices import RenderMode
 from ..rain.settings import RainSettings
 from ..rain.simulation import OVERCAST, RainSimulation
 from ..scene.camera import Camera
@@ -23,7 +24,7 @@ from .level_of_detail import LodCut
 from .panorama import compose, views_of
 from .passes.glass import glass_state
 from .passes.spray import has_spray
-from .renderer import Frame, PendingImage, Renderer, RenderMode
+from .renderer import Frame, PendingImage, Renderer
 from .sky_color import SkyColor, sky_color
 from .view import RenderView
 

@@ -3,16 +3,13 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from ..choices import FOUND_LAMPS, HEADLIGHTS, LAMP_WORDS, NO_LAMPS
 from ..safe_io.errors import convert_checked
 from ..safe_io.text_files import read_whole, yaml_values
 from .find_lamps import find_lamps
 from .lamps import Lamp
 from .scene import Scene
 from .vehicle_lamps import VehicleLamps
-
-NO_LAMPS, FOUND_LAMPS, HEADLIGHTS = "none", "auto", "headlights"
-LAMP_WORDS = (NO_LAMPS, FOUND_LAMPS, HEADLIGHTS)
-"""Choices that are no files."""
 
 MAX_LISTED = 10_000  # lamps of a file; those that light a picture are far fewer
 

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 from msgspec import Meta
 
+from ..choices import Backend
 from ..settings import Settings
 
 try:
@@ -18,7 +19,7 @@ try:
 except ModuleNotFoundError as _error:
     raise ModuleNotFoundError("gymnasium is not installed: pip install 'gsrain[drive]'", name="gymnasium") from _error
 
-from ..backends import Backend, open_renderer
+from ..backends import open_renderer
 from ..scene.open import load_sorted_scene
 from ..scene.scene import RigCamera, Scene
 from .agents.base import COMMANDS, Observation, SensorRequirements, Trajectory

@@ -9,12 +9,12 @@ from typing import Any
 import msgspec
 import yaml
 
+from ..choices import LAMP_WORDS
 from ..presets import load_config, resolve_from_folder, shipped_config_names
 from ..rain.calibration import calibration_names
 from ..safe_io.errors import convert_checked
 from ..safe_io.files import whole_file
 from ..safe_io.text_files import read_whole, yaml_values
-from ..scene.lamp_choice import LAMP_WORDS
 from ..scene.open import STREET
 from ..scene.sensor import sensor_names
 from .interop.hugsim_scenario import hugsim_scenario, is_hugsim_scenario

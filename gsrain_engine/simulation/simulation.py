@@ -10,7 +10,8 @@ import msgspec
 import numpy as np
 from jaxtyping import Float64
 
-from ..backends import Backend, open_renderer
+from ..backends import open_renderer
+from ..choices import Backend
 from ..rain.settings import RainSettings
 from ..rain.simulation import RainSimulation
 from ..render.export_settings import Lod

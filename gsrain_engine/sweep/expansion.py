@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import msgspec
 from msgspec import Struct, structs
 
-from ..backends import Backend
+from ..choices import LAMP_WORDS, Backend, LabelFormat
 from ..evaluation.attribution.factors import RainFactors, is_attributed
 from ..evaluation.attribution.shapley import Coalition
 from ..evaluation.detection.detector import find_detector
@@ -20,10 +20,9 @@ from ..plugins import AGENTS, DECODERS, SCENE_FORMATS, find_extensions
 from ..rain.calibration import calibration_names
 from ..rain.settings import RainSettings
 from ..render.export_settings import ExportSettings
-from ..render.object_labels import LabelFormat
 from ..safe_io.file_names import name_problem
 from ..scene.formats.hugsim import is_vehicle_folder
-from ..scene.lamp_choice import LAMP_WORDS, lamp_choice
+from ..scene.lamp_choice import lamp_choice
 from ..scene.open import file_hash, scene_hash
 from ..scene.sensor import DEFAULT_SENSOR, load_sensor, sensor_names
 from ..simulation.agents.registry import HUGSIM, agent_file, agent_names

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import numpy as np
 from msgspec import Meta, structs
 
-from ..backends import Backend
+from ..choices import LAMP_WORDS, Backend, LabelFormat
 from ..evaluation.attribution.factors import factor_names, is_attributed
 from ..evaluation.detection.description import description_names
 from ..presets import load_config, shipped_config_names
@@ -16,9 +16,7 @@ from ..rain.calibration import calibration_names
 from ..rain.settings import HEAVIEST_MM_H, RainSettings, load_preset
 from ..rain.wetness import with_wet_choice
 from ..render.export_settings import ExportSettings
-from ..render.object_labels import LabelFormat
 from ..safe_io.errors import convert_checked
-from ..scene.lamp_choice import LAMP_WORDS
 from ..scene.open import STREET
 from ..scene.sensor import load_sensor, sensor_names
 from ..settings import Settings

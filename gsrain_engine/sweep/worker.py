@@ -15,7 +15,8 @@ from pathlib import Path
 import msgspec
 from msgspec import Struct, structs
 
-from ..backends import Backend, open_renderer
+from ..backends import open_renderer
+from ..choices import Backend
 from ..rain.simulation import RainSimulation
 from ..recolor.cached_colors import cached_wet_scene
 from ..render.export import export_frames, export_sequences, first_pictures, frame_numbers

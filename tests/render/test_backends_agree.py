@@ -7,12 +7,12 @@ import msgspec
 import numpy as np
 import pytest
 
+from gsrain_engine.choices import RenderMode
 from gsrain_engine.rain.settings import RegionBox, load_preset
 from gsrain_engine.rain.simulation import OVERCAST, RainSimulation
 from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.render.draw import draw
 from gsrain_engine.render.frame_input import FrameInput, Quality
-from gsrain_engine.render.renderer import RenderMode
 from gsrain_engine.render.sky_color import sky_color
 from gsrain_engine.render.view import RenderView
 from gsrain_engine.scene.camera import Camera, look_at, read_camera

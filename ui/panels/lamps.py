@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 from imgui_bundle import ImVec2, icons_fontawesome_6, imgui
 
+from gsrain_engine.choices import FOUND_LAMPS, HEADLIGHTS, NO_LAMPS
 from gsrain_engine.editor.document import Document
 from gsrain_engine.editor.edits.lamps import LampFields, add_lamp, change_lamp, lamp_at, remove_lamp
 from gsrain_engine.editor.edits.members import unique_name
@@ -13,7 +14,7 @@ from gsrain_engine.editor.lamps import LampFinder
 from gsrain_engine.editor.status import StatusBus
 from gsrain_engine.editor.viewport.picking import pick_point
 from gsrain_engine.editor.viewport_state import ViewportState
-from gsrain_engine.scene.lamp_choice import FOUND_LAMPS, HEADLIGHTS, NO_LAMPS, load_lamps
+from gsrain_engine.scene.lamp_choice import load_lamps
 from gsrain_engine.scene.lamps import Lamp
 from gsrain_engine.scene.scene import Scene
 

@@ -7,8 +7,9 @@ from typing import get_args
 from imgui_bundle import ImVec2, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
+from gsrain_engine.choices import Axis
 from gsrain_engine.editor.editor import Editor
-from gsrain_engine.editor.edits.level import Axis, set_ground_height
+from gsrain_engine.editor.edits.level import set_ground_height
 from gsrain_engine.editor.scene_setup import SETUP_MM_H
 
 from ..commands.table import command_named

@@ -5,10 +5,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from ...choices import RenderMode
 from ...rain.frame import SkyLight
 from ...rain.simulation import RainSimulation
 from ...render.opengl.buffers import Harmonics
-from ...render.renderer import Color, RenderMode
+from ...render.renderer import Color
 from ...render.sky_color import SkyColor
 from ...render.view import RenderView
 from ...scene.scene import RigCamera, Scene

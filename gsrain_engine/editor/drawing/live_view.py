@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float32, Float64
 
 from ...backends import measure_device, rasterizer_for
+from ...choices import RenderMode
 from ...compile_cache import has_kernels
 from ...rain.frame import SkyLight
 from ...rain.simulation import RainSimulation
@@ -25,7 +26,7 @@ from ...render.opengl.buffers import GpuArrays
 from ...render.opengl.context import check_context
 from ...render.opengl.renderer import Screen, SplatRenderer
 from ...render.passes.glass import ego_motion
-from ...render.renderer import Color, DrawnPicture, Renderer, RenderMode, timed
+from ...render.renderer import Color, DrawnPicture, Renderer, timed
 from ...render.sky_color import SkyColor, sample_sky
 from ...render.still_scene import StillScene
 from ...scene.camera import Camera

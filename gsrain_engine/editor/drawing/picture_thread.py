@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import moderngl
 import numpy as np
 
-from ...render.renderer import RenderMode
+from ...choices import RenderMode
 from ...render.view import RenderView
 from ...threads import lower_thread_priority
 from .frame import DrawResult, MosaicInput, MosaicResult, RenderInput, SplitPane

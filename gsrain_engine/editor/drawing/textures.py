@@ -12,6 +12,7 @@ import moderngl
 import numpy as np
 from jaxtyping import UInt8
 
+from ...choices import RenderMode
 from ...compile_cache import compiled_kernels, has_kernels, mark_kernels, stores_kernels
 from ...rain.frame import RainCamera
 from ...rain.settings import RainSettings
@@ -21,7 +22,6 @@ from ...render.cpu.splats import FEW
 from ...render.draw import draw
 from ...render.frame_input import FrameInput, Quality
 from ...render.opengl.shaders import load_program
-from ...render.renderer import RenderMode
 from ...render.still_scene import StillScene
 from ...render.view import RenderView
 from ...scene.camera import Camera, look_at

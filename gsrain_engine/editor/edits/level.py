@@ -1,17 +1,16 @@
 """Orientation and scale of a scene: up direction and ground from points or RANSAC, and the unit length."""
 
 from dataclasses import replace
-from typing import Literal, NamedTuple, get_args
+from typing import NamedTuple, get_args
 
 import numpy as np
 from jaxtyping import Float64
 
+from ...choices import UNIT_M, Axis
 from ...scene.camera_path_edit import WALKING_M_S, with_constant_speed
 from ...scene.geometry import matrices_from_quaternions
 from ...scene.scene import Scene
 
-Axis = Literal["x", "-x", "y", "-y", "z", "-z"]
-UNIT_M = (1e-6, 1e6)
 """Range of valid lengths of a scene unit, in meters."""
 
 _SAMPLES, _TRIES = 100_000, 400

@@ -4,8 +4,9 @@ import math
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
+from ...choices import RenderMode
 from ...render.opengl.buffers import Harmonics
-from ...render.renderer import Color, RenderMode
+from ...render.renderer import Color
 
 Mode = Literal["picture", "difference", "pixels"]
 

@@ -9,6 +9,7 @@ import numba
 import numpy as np
 from jaxtyping import Float32, Int32, UInt8
 
+from ...choices import RenderMode
 from ...kernels import NOGIL
 from ...malloc_tuning import tune_malloc
 from ...rain.frame import RainFrame
@@ -25,7 +26,6 @@ from ..renderer import (
     Color,
     Frame,
     PendingImage,
-    RenderMode,
     RenderStatistics,
     timed,
 )

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import moderngl
 import numpy as np
 
+from ...choices import RenderMode
 from ...rain.frame import RainFrame
 from ...rain.medium import RainMedium
 from ...scene.camera import Camera
@@ -13,7 +14,6 @@ from ...scene.scene import DrawItem
 from ..cpu.lens_projection import lens_view, rolling_pose
 from ..cpu.splats import NEAR_M
 from ..images import layer_color
-from ..renderer import RenderMode
 from .buffers import CHUNK, SH_BITS, SLOTS_BY_BLOCK, GaussianBuffers, GpuArrays, ProjectedSplatBuffer
 from .rain import RainPass, streak_slots
 from .shaders import ComputeShader, ShaderVariants, load_compute_shader

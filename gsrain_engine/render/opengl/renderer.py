@@ -10,6 +10,7 @@ import moderngl
 import numpy as np
 from jaxtyping import Float32, UInt8
 
+from ...choices import RenderMode
 from ...rain.frame import RainFrame
 from ...rain.lamp_light import LampLight, light_in_picture
 from ...rain.medium import RainMedium
@@ -27,7 +28,6 @@ from ..renderer import (
     Color,
     Frame,
     PendingImage,
-    RenderMode,
     RenderStatistics,
     timed,
 )

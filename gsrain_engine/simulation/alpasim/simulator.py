@@ -16,7 +16,8 @@ from jaxtyping import Float64, UInt8
 from msgspec import structs
 from PIL import Image
 
-from ...backends import Backend, open_renderer
+from ...backends import open_renderer
+from ...choices import Backend
 from ...evaluation.lidar.scan import scan_in_rain, scan_scene
 from ...evaluation.lidar.sensor import SENSORS, LidarSensor
 from ...rain.simulation import RainSimulation

@@ -6,10 +6,11 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from given_rain import given_rain
+from gsrain_engine.choices import RenderMode
 from gsrain_engine.render.cpu.projection import project
 from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.render.cpu.splats import NEAR_M
-from gsrain_engine.render.renderer import Frame, RenderMode
+from gsrain_engine.render.renderer import Frame
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.scene import DrawItem
 from oracles.rasterizer import rasterize_slowly

@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 
 from given_rain import given_rain
+from gsrain_engine.choices import RenderMode
 from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.render.images import turbo_colors
-from gsrain_engine.render.renderer import FARTHEST_M, MAX_FRAGMENTS, NEAREST_M, Frame, RenderMode
+from gsrain_engine.render.renderer import FARTHEST_M, MAX_FRAGMENTS, NEAREST_M, Frame
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
 from gsrain_engine.scene.scene import DrawItem
