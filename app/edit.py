@@ -4,11 +4,6 @@ import sys
 from pathlib import Path
 from typing import Annotated
 
-from gsrain_engine.editor.steps import EditStep, apply_steps, edit_help
-from gsrain_engine.safe_io.text_files import read_whole
-from gsrain_engine.scene.formats.scene_files import write_scene
-from gsrain_engine.scene.open import load_sorted_scene
-
 from .console import counted, print, print_lines
 from .options import Orientation, flag, option
 from .outputs import SCREEN, check_scene_target, lock_outputs
@@ -32,6 +27,10 @@ def edit(
 
     History in the window copies its steps in this form.
     """
+    from gsrain_engine.editor.steps import EditStep, apply_steps, edit_help
+    from gsrain_engine.scene.formats.scene_files import write_scene
+    from gsrain_engine.scene.open import load_sorted_scene
+
     if list_:
         for each in edit_help():
             print_lines(f"{each.name} {each.parameters}".rstrip() + f"\n    {each.summary}")
@@ -50,4 +49,6 @@ def edit(
 
 
 def _read(file: Path) -> str:
+    from gsrain_engine.safe_io.text_files import read_whole
+
     return sys.stdin.read() if file == SCREEN else read_whole(file).decode()

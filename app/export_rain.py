@@ -2,25 +2,13 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from gsrain_engine.backends import open_renderer
-from gsrain_engine.datasets.open_source import names_scene
 from gsrain_engine.evaluation.lidar.sensor import SENSORS
-from gsrain_engine.evaluation.lidar.session import open_sensor
-from gsrain_engine.publish.rain_gaussians import export_rain_gaussians
-from gsrain_engine.rain.available import Source, check_available
 from gsrain_engine.rain.settings import RainSettings
-from gsrain_engine.recordings.folders import FileCopies
-from gsrain_engine.recordings.rainy_recording import open_recording
-from gsrain_engine.recordings.session import check_copy, export_recording
 from gsrain_engine.render.export_settings import ExportSettings
-from gsrain_engine.report.result import RunResult
-from gsrain_engine.scene.formats.registry import check_written_format
-from gsrain_engine.scene.open import load_sorted_scene
-from gsrain_engine.scene.scene import Scene
 
 from .console import print, run_with_progress
 from .options import (
@@ -37,7 +25,13 @@ from .options import (
     takes_set,
 )
 from .outputs import check_writable, lock_outputs, write_numbers
-from .render import RainOptions, rainy_light, viewpoint_of
+from .render import RainOptions
+
+if TYPE_CHECKING:
+    from gsrain_engine.rain.available import Source
+    from gsrain_engine.recordings.folders import FileCopies
+    from gsrain_engine.report.result import RunResult
+    from gsrain_engine.scene.scene import Scene
 
 
 @Parameter(name="*")  # fields are options of the command, without a prefix
@@ -45,8 +39,10 @@ from .render import RainOptions, rainy_light, viewpoint_of
 class PhotoOptions(options_of(RainSettings, "export-rain", "", topic="Rain")):
     """Options about the photographs of a recording."""
 
-    def added_to(self, rain: RainOptions, scene: Scene, source: Source) -> RainSettings:
+    def added_to(self, rain: RainOptions, scene: "Scene", source: "Source") -> RainSettings:
         """Return the rain with these options; raises ValueError for one without an effect on the source."""
+        from gsrain_engine.rain.available import check_available
+
         settings = self.settings(rain.for_scene(scene, source))
         check_available(self.changes(), settings, source)
         return settings
@@ -119,6 +115,14 @@ def export_rain(
     wet, through a scene of the recording.
     COPY.provenance.json, beside the copy, says what each image holds.
     """
+    from gsrain_engine.datasets.open_source import names_scene
+    from gsrain_engine.publish.rain_gaussians import export_rain_gaussians
+    from gsrain_engine.recordings.folders import FileCopies
+    from gsrain_engine.scene.formats.registry import check_written_format
+    from gsrain_engine.scene.open import load_sorted_scene
+
+    from .render import rainy_light, viewpoint_of
+
     if names_scene(source):
         check_writable(output, json)
         check_written_format(output)
@@ -151,8 +155,17 @@ def _copy(
     photos: PhotoOptions,
     lidar: RecordingLidar,
     key_frames_only: bool,
-    files: FileCopies,
-) -> RunResult[Path]:
+    files: "FileCopies",
+) -> "RunResult[Path]":
+    from gsrain_engine.backends import open_renderer
+    from gsrain_engine.evaluation.lidar.session import open_sensor
+    from gsrain_engine.recordings.rainy_recording import open_recording
+    from gsrain_engine.recordings.session import check_copy, export_recording
+    from gsrain_engine.scene.open import load_sorted_scene
+    from gsrain_engine.scene.scene import Scene
+
+    from .render import rainy_light
+
     recording = open_recording(source, key_frames_only=key_frames_only)
     world = None if scene is None else load_sorted_scene(scene)
     place = world or Scene(recording.capture.name)

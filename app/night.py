@@ -3,11 +3,6 @@
 from pathlib import Path
 from typing import Annotated
 
-from gsrain_engine.appearance.night_look.night_gaussians import night_scene
-from gsrain_engine.scene.formats.scene_files import write_scene
-from gsrain_engine.scene.lamp_choice import lamp_choice
-from gsrain_engine.scene.open import load_sorted_scene
-
 from .console import counted, print, run_with_progress
 from .options import JsonFile, Orientation, option
 from .outputs import check_scene_folder, check_writable, lock_outputs, write_numbers
@@ -33,6 +28,11 @@ def night(
     The reflectance of each Gaussian is estimated from its color, without sun and shadow, and lit by the lamps that are
     mounted on the scene; those of vehicles light rain and water only. The geometry stays.
     """
+    from gsrain_engine.appearance.night_look.night_gaussians import night_scene
+    from gsrain_engine.scene.formats.scene_files import write_scene
+    from gsrain_engine.scene.lamp_choice import lamp_choice
+    from gsrain_engine.scene.open import load_sorted_scene
+
     check_scene_folder(output)
     check_writable(json)
     opened = (orientation or Orientation()).of(load_sorted_scene(scene))

@@ -3,19 +3,12 @@
 from pathlib import Path
 from typing import Annotated
 
-from gsrain_engine.backends import open_renderer
-from gsrain_engine.publish.page import LONGEST_S, publish_page
-from gsrain_engine.rain.simulation import RainSimulation
-from gsrain_engine.render.export import export_sequences
 from gsrain_engine.render.export_settings import ExportSettings
-from gsrain_engine.scene.camera_path import CameraPath
-from gsrain_engine.scene.open import load_sorted_scene
 
 from .console import print, run_with_progress
 from .options import JsonFile, Orientation, Wet, check_within, option, setting, takes_set
 from .outputs import PAGES, check_writable, lock_outputs, write_numbers
-from .render import RainOptions, rainy_light, viewpoint_of
-from .scene import timed_path
+from .render import RainOptions
 
 
 @takes_set
@@ -49,6 +42,16 @@ def publish(
     The page loads nothing and opens from a disk, in browsers with WebGL 2. Its drops and splashes are those of the
     desktop, and wet ground mirrors the scene. It has no rings, spray, water on glass and light of lamps.
     """
+    from gsrain_engine.backends import open_renderer
+    from gsrain_engine.publish.page import LONGEST_S, publish_page
+    from gsrain_engine.rain.simulation import RainSimulation
+    from gsrain_engine.render.export import export_sequences
+    from gsrain_engine.scene.camera_path import CameraPath
+    from gsrain_engine.scene.open import load_sorted_scene
+
+    from .render import rainy_light, viewpoint_of
+    from .scene import timed_path
+
     if output.suffix.lower() not in PAGES:
         raise ValueError(f"--output {output}: expected the name of a web page (.html)")
     check_within("--duration", duration, 0, LONGEST_S, "s", is_open=True)

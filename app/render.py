@@ -5,40 +5,15 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 from cyclopts import Parameter
 
-from gsrain_engine.backends import open_renderer
 from gsrain_engine.choices import FOUND_LAMPS, Backend, LabelFormat, RenderMode
-from gsrain_engine.editor.jobs.record import own_path
-from gsrain_engine.editor.viewport.camera import front_camera, home_camera
 from gsrain_engine.fields import option_names
-from gsrain_engine.rain.available import Source, check_available
-from gsrain_engine.rain.calibration import load_calibration
-from gsrain_engine.rain.keyframes import NO_KEYFRAMES, Keyed, RainKeyframes, read_keyframes, saved_rain
-from gsrain_engine.rain.properties import RainProperties
 from gsrain_engine.rain.settings import RainSettings, load_preset
-from gsrain_engine.rain.simulation import RainSimulation
-from gsrain_engine.rain.streaks import visible_distance_m
-from gsrain_engine.rain.wetness import missing_wet_colors, with_wet_choice
-from gsrain_engine.render.export import export_frames, export_sequences, first_pictures, frame_numbers
 from gsrain_engine.render.export_settings import DEFAULT_SIZE_PX, ExportSettings, export_outputs
-from gsrain_engine.render.provenance import PictureProvenance
-from gsrain_engine.render.renderer import Renderer
-from gsrain_engine.render.sequence import FrameSequence
-from gsrain_engine.report.numbers import write_provenance
 from gsrain_engine.safe_io.errors import convert_checked
-from gsrain_engine.scene.camera import Camera, read_camera
-from gsrain_engine.scene.camera_path import CameraPath
-from gsrain_engine.scene.camera_path_io import read_camera_path
-from gsrain_engine.scene.formats.gltf import GLTF
-from gsrain_engine.scene.geometry import srgb_to_linear
-from gsrain_engine.scene.objects import scene_objects
-from gsrain_engine.scene.open import load_sorted_scene
-from gsrain_engine.scene.progress import Progress
-from gsrain_engine.scene.scene import Scene
 
 from .console import counted, print, progress_bar, run_with_progress
 from .options import (
@@ -55,7 +30,22 @@ from .options import (
     takes_set,
 )
 from .outputs import check_image, check_writable, lock_outputs, write_numbers
-from .scene import TimedPath, timed_path
+
+if TYPE_CHECKING:
+    from gsrain_engine.rain.available import Source
+    from gsrain_engine.rain.keyframes import Keyed, RainKeyframes
+    from gsrain_engine.rain.properties import RainProperties
+    from gsrain_engine.rain.simulation import RainSimulation
+    from gsrain_engine.render.provenance import PictureProvenance
+    from gsrain_engine.render.renderer import Renderer
+    from gsrain_engine.render.sequence import FrameSequence
+    from gsrain_engine.scene.camera import Camera
+    from gsrain_engine.scene.camera_path import CameraPath
+    from gsrain_engine.scene.progress import Progress
+    from gsrain_engine.scene.scene import Scene
+
+    from .scene import TimedPath
+
 
 _FILE_ENDINGS = (".png", ".jpg", ".jpeg", ".exr", ".npy", ".mp4", ".webm", ".json")
 """Extensions of written files; any other output is a folder, even with dots: frames.clear, clip.depth."""
@@ -68,11 +58,14 @@ class RainOptions(options_of(RainSettings, "render", "", topic="Rain")):
 
     preset: Preset = None
 
-    def for_scene(self, scene: Scene, source: Source = "scene") -> RainSettings:
+    def for_scene(self, scene: "Scene", source: "Source" = "scene") -> RainSettings:
         """Return the preset, else the scene's saved rain, else no rain, with the options set.
 
         Raises `ValueError`, which names the option, for one that has no effect on such a source.
         """
+        from gsrain_engine.rain.available import check_available
+        from gsrain_engine.rain.keyframes import saved_rain
+
         values = saved_rain(scene)
         saved = None if values is None else convert_checked(values, RainSettings)
         rain = self.settings(saved if self.preset is None else load_preset(self.preset))
@@ -149,6 +142,16 @@ def render(
 
     Prints the rain rate that is drawn, and the maximum visible distance of streaks, at which a drop covers one pixel.
     """
+    from gsrain_engine.backends import open_renderer
+    from gsrain_engine.rain.calibration import load_calibration
+    from gsrain_engine.rain.keyframes import NO_KEYFRAMES
+    from gsrain_engine.rain.simulation import RainSimulation
+    from gsrain_engine.render.export import export_frames, export_sequences, first_pictures
+    from gsrain_engine.report.numbers import write_provenance
+    from gsrain_engine.scene.camera import Camera
+    from gsrain_engine.scene.objects import scene_objects
+    from gsrain_engine.scene.open import load_sorted_scene
+
     rain_options = rain or RainOptions()
     export = export_settings(recording, with_depth=depth or labels is not None)
     check_within("--duration", duration, 0, 36_000, "s", is_open=True)
@@ -225,11 +228,15 @@ def render(
     return 0 if report["frames"] == len(numbers) else 130
 
 
-def rainy_light(scene: Scene, rain: RainSettings, wet: bool | None, heaviest_mm_h: float) -> tuple[Scene, RainSettings]:
+def rainy_light(
+    scene: "Scene", rain: RainSettings, wet: bool | None, heaviest_mm_h: float
+) -> "tuple[Scene, RainSettings]":
     """Return scene and rain with the choice of --wet; computes wet colors if they are asked for and missing.
 
     Prints how to get them if it rains on a scene without any.
     """
+    from gsrain_engine.rain.wetness import missing_wet_colors, with_wet_choice
+
     if wet and not scene.has_rainy_light:
         from gsrain_engine.recolor.cached_colors import cached_wet_scene  # kernels take a second to load
 
@@ -240,17 +247,19 @@ def rainy_light(scene: Scene, rain: RainSettings, wet: bool | None, heaviest_mm_
     return scene, rain
 
 
-_KEYED_OPTIONS: dict[Keyed, tuple[str, ...]] = {
+_KEYED_OPTIONS: "dict[Keyed, tuple[str, ...]]" = {
     "intensity_mm_h": ("intensity_mm_h",), "exposure_s": ("exposure_s",),
     "wind_m_s": ("wind_speed_m_s", "wind_from_deg", "wind_m_s"), "wetness": ("wetness",), "lamp_gain": ("lamp_gain",),
 }  # fmt: skip
 
 
-def rendered_weather(options: RainOptions, scene: Scene, file: Path | None = None) -> RainKeyframes | None:
+def rendered_weather(options: RainOptions, scene: "Scene", file: Path | None = None) -> "RainKeyframes | None":
     """Return the rain keyframes of a file, else those saved with a scene, without those that options replace.
 
     Raises `ValueError` if they are invalid, and `OSError` if the file can't be read.
     """
+    from gsrain_engine.rain.keyframes import RainKeyframes, read_keyframes
+
     if file is not None:
         weather = read_keyframes(file)
     elif scene.weather is None or options.preset is not None:
@@ -271,7 +280,7 @@ def export_settings(options: StructOptions, *, with_depth: bool) -> ExportSettin
     return settings
 
 
-def _record(frames: Iterator[Progress], renderer: Renderer, state: RainProperties, count: int) -> dict[str, Any]:
+def _record(frames: "Iterator[Progress]", renderer: "Renderer", state: "RainProperties", count: int) -> dict[str, Any]:
     """Record frames and return the numbers of the report; Ctrl-C stops early and keeps the frames so far."""
     started, done = time.perf_counter(), 0
     with progress_bar("Rendering", count) as advance:
@@ -335,8 +344,8 @@ def _sheet_intensities(sheet: str, export: ExportSettings) -> list[float]:
 
 
 def _write_sheet(
-    renderer: Renderer,
-    sequences: Mapping[str, FrameSequence],
+    renderer: "Renderer",
+    sequences: "Mapping[str, FrameSequence]",
     rain: RainSettings,
     intensities: Sequence[float],
     output: Path,
@@ -344,6 +353,7 @@ def _write_sheet(
 ) -> dict[str, Any]:
     """Render and write a sheet of intensities; returns its numbers."""
     from gsrain_engine.render.intensity_sheet import write_sheet  # loads OpenCV, which images don't need
+    from gsrain_engine.report.numbers import write_provenance
 
     lock_outputs(output)
     cells = run_with_progress(write_sheet(renderer, sequences, intensities, output, wet=wet))
@@ -361,7 +371,7 @@ def _listed(paths: list[Path]) -> str:
     return " and ".join(map(str, paths)) if len(paths) <= 6 else f"{paths[0]} and {len(paths) - 1} more"
 
 
-def _describe(simulation: RainSimulation, first_s: float) -> str:
+def _describe(simulation: "RainSimulation", first_s: float) -> str:
     """Describe the rain, for animated rain at the first frame."""
     state, keys = simulation.state_at(first_s), simulation.weather.keys
     when = f"first of a weather with {len(keys):,} keys: " if keys else ""
@@ -377,8 +387,12 @@ def _describe(simulation: RainSimulation, first_s: float) -> str:
     return ", ".join(filter(None, [rain, fog, beyond, simulation.rain.exaggeration]))
 
 
-def _extinction(simulation: RainSimulation, picture: PictureProvenance) -> dict[str, float | list[float] | None]:
+def _extinction(simulation: "RainSimulation", picture: "PictureProvenance") -> dict[str, float | list[float] | None]:
     """Extinction of the rain at a time, and the light that replaces what is lost; None for what does not exist."""
+    import numpy as np
+
+    from gsrain_engine.scene.geometry import srgb_to_linear
+
     beta, rain = simulation.state.extinction_per_m, simulation.rain
     airlight: list[float] | None = None
     if beta > 0 and (rain.haze == "medium" or rain.visibility_m is not None):
@@ -392,7 +406,7 @@ def _extinction(simulation: RainSimulation, picture: PictureProvenance) -> dict[
     }
 
 
-def _glass(sequences: Mapping[str, FrameSequence], number: int) -> dict[str, float]:
+def _glass(sequences: "Mapping[str, FrameSequence]", number: int) -> dict[str, float]:
     """Figures of the water on glass at a frame, summed over the cameras."""
     states = [each.glass_state(number) for each in sequences.values()]
     return {
@@ -404,9 +418,13 @@ def _glass(sequences: Mapping[str, FrameSequence], number: int) -> dict[str, flo
 
 
 def _visible_distances(
-    simulation: RainSimulation, sequences: Mapping[str, FrameSequence], number: int
+    simulation: "RainSimulation", sequences: "Mapping[str, FrameSequence]", number: int
 ) -> list[dict[str, Any]]:
     """Compute the maximum visible distance of streaks (eq. 6, 7) in a frame of each camera; none without rain."""
+    import numpy as np
+
+    from gsrain_engine.rain.streaks import visible_distance_m
+
     if simulation.state.intensity_mm_h == 0:
         return []
     sizes, haze_coefficient = simulation.state.sizes, simulation.rain.critical_haze_coefficient
@@ -447,12 +465,18 @@ def _check_outputs(
 
 
 def viewpoint_of(
-    scene: Scene, camera: Path | None, camera_path: Path | None, export: ExportSettings
-) -> Camera | CameraPath:
+    scene: "Scene", camera: Path | None, camera_path: Path | None, export: ExportSettings
+) -> "Camera | CameraPath":
     """Return the camera or path of the options, in the world; else the scene's path, the ego's drive, or an orbit.
 
     A single still shows a scene without path and drive from the front.
     """
+    from gsrain_engine.editor.jobs.record import own_path
+    from gsrain_engine.editor.viewport.camera import front_camera, home_camera
+    from gsrain_engine.scene.camera import read_camera
+    from gsrain_engine.scene.camera_path_io import read_camera_path
+    from gsrain_engine.scene.formats.gltf import GLTF
+
     if camera is not None and camera_path is not None:
         raise ValueError("--camera and --camera-path exclude each other")
     width, height = export.size_px or DEFAULT_SIZE_PX
@@ -470,9 +494,17 @@ def viewpoint_of(
 
 
 def _timing(
-    scene: Scene, viewpoint: Camera | CameraPath, camera_path: Path | None, export: ExportSettings, speed: float | None
-) -> TimedPath | None:
+    scene: "Scene",
+    viewpoint: "Camera | CameraPath",
+    camera_path: Path | None,
+    export: ExportSettings,
+    speed: float | None,
+) -> "TimedPath | None":
     """Return the timing of a camera path; None for drives, which have their own speed, and for fixed cameras."""
+    from gsrain_engine.scene.camera_path import CameraPath
+
+    from .scene import timed_path
+
     is_path = camera_path is not None or scene.path is not None
     if isinstance(viewpoint, CameraPath) and is_path and not export.cameras:
         return timed_path(viewpoint, speed, is_still=export.is_still)
@@ -482,9 +514,12 @@ def _timing(
 
 
 def _frame_numbers(
-    export: ExportSettings, sequences: Mapping[str, FrameSequence], duration: float | None, frame: int | None
+    export: ExportSettings, sequences: "Mapping[str, FrameSequence]", duration: float | None, frame: int | None
 ) -> Sequence[int]:
     """Return the numbers of the chosen frames; raises ValueError for a frame after the end of the path or drive."""
+    from gsrain_engine.render.export import frame_numbers
+    from gsrain_engine.scene.camera_path import CameraPath
+
     if frame is None:
         if duration is None or export.is_still:
             return frame_numbers(export, sequences)

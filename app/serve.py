@@ -7,24 +7,20 @@ import signal
 import sys
 import threading
 from importlib.util import find_spec
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import psutil
 from cyclopts import Parameter
 
 from gsrain_engine.choices import Backend
-from gsrain_engine.rain.calibration import load_calibration
-from gsrain_engine.rain.keyframes import NO_KEYFRAMES
-from gsrain_engine.rain.simulation import RainSimulation
-from gsrain_engine.safe_io.limits import checked_token
-from gsrain_engine.scene.formats.nurec import scene_id
-from gsrain_engine.scene.open import load_sorted_scene
-from gsrain_engine.scene.scene import Scene
 
 from .console import counted, print
 from .options import BACKEND, JsonFile, Orientation, Wet, check_within, option, takes_set
 from .outputs import check_writable, write_numbers
-from .render import RainOptions, rainy_light, rendered_weather
+from .render import RainOptions
+
+if TYPE_CHECKING:
+    from gsrain_engine.scene.scene import Scene
+
 
 TOKEN, LOOPBACK, ALPASIM_PORT = "GSRAIN_TOKEN", "127.0.0.1", 50051
 CANVAS_PROGRAM = "CARLA_CANVAS_PARENT_PID"
@@ -75,6 +71,15 @@ def serve(
     AlpaSim's requests name a scene by its name, or * if there is one; for carla-canvas it is that of CARLA's map. A
     picture depends on its request alone. Browsers show one scene, each from a camera of its own.
     """
+    from gsrain_engine.rain.calibration import load_calibration
+    from gsrain_engine.rain.keyframes import NO_KEYFRAMES
+    from gsrain_engine.rain.simulation import RainSimulation
+    from gsrain_engine.safe_io.limits import checked_token
+    from gsrain_engine.scene.formats.nurec import scene_id
+    from gsrain_engine.scene.open import load_sorted_scene
+
+    from .render import rainy_light, rendered_weather
+
     check_writable(json)
     check_within("--port", port, 0, 65535)
     check_within("--sessions", sessions, 1, 1000)
@@ -141,10 +146,12 @@ def _check_for_browsers(scenes: tuple[str, ...], host: str, port: int | None) ->
 
 
 def _serve_browsers(
-    scene: Scene, options: RainOptions, wet: Any, backend: Backend, port: int | None, browsers: int, token: str | None,
-    json: JsonFile,
+    scene: "Scene", options: RainOptions, wet: Any, backend: Backend, port: int | None, browsers: int,
+    token: str | None, json: JsonFile,
 ) -> int:  # fmt: skip
     from gsrain.browser import DEFAULT_PORT, BrowserViewer
+
+    from .render import rainy_light, rendered_weather
 
     if rendered_weather(options, scene) is not None:
         print(f"{scene.name}: its rain keyframes are left out, as browsers set the rain", file=sys.stderr)
@@ -180,5 +187,7 @@ def _is_loopback(host: str) -> bool:
 
 def program_is_gone() -> bool:
     """Return whether the program of CARLA that started this server, as its configuration said, has ended."""
+    import psutil
+
     number = os.environ.get(CANVAS_PROGRAM, "")
     return number.isdigit() and not psutil.pid_exists(int(number))

@@ -4,21 +4,19 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from itertools import islice
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 from jaxtyping import UInt8
 
-from gsrain_engine.datasets.io.images import images_in, read_color
-from gsrain_engine.evaluation.rain_gauge import MIN_FRAMES, measure_rain_rate
-from gsrain_engine.rain.calibration import load_calibration
-from gsrain_engine.rain.properties import rain_class
 from gsrain_engine.rain.settings import RainSettings
-from gsrain_engine.render.video import SUFFIXES, read_video
 
 from ..console import print
 from ..options import JsonFile, check_within, option, setting
 from ..outputs import check_writable, write_numbers
+
+if TYPE_CHECKING:
+    import numpy as np
+
 
 _MAX_FRAMES, _MAX_BYTES = 500, 3 << 29
 
@@ -44,6 +42,10 @@ def rain_gauge(
     Nothing else is known to it: neither the scene nor the rain that was set. Frames need dark and bright backgrounds
     above the horizon, such as trees and sky, which tell the light of drops.
     """
+    from gsrain_engine.evaluation.rain_gauge import MIN_FRAMES, measure_rain_rate
+    from gsrain_engine.rain.calibration import load_calibration
+    from gsrain_engine.rain.properties import rain_class
+
     check_within("--focal-px", focal_px, 10, 1e5, "px")
     check_within("--shutter", shutter, 1e-4, 0.1, "s")
     check_within("--count", count, MIN_FRAMES, _MAX_FRAMES)
@@ -62,7 +64,10 @@ def rain_gauge(
     write_numbers(json, asdict(found))
 
 
-def _pictures(source: Path) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
+def _pictures(source: Path) -> "Iterator[UInt8[np.ndarray, 'h w 3']]":
+    from gsrain_engine.datasets.io.images import images_in, read_color
+    from gsrain_engine.render.video import SUFFIXES, read_video
+
     if source.suffix.lower() in SUFFIXES:
         return read_video(source)
     if not (files := images_in(source)):
@@ -70,7 +75,11 @@ def _pictures(source: Path) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
     return map(read_color, files)
 
 
-def _stacked(source: Path, pictures: Iterator[UInt8[np.ndarray, "h w 3"]]) -> UInt8[np.ndarray, "t h w 3"]:
+def _stacked(source: Path, pictures: "Iterator[UInt8[np.ndarray, 'h w 3']]") -> "UInt8[np.ndarray, 't h w 3']":
+    import numpy as np
+
+    from gsrain_engine.evaluation.rain_gauge import MIN_FRAMES
+
     found: list[UInt8[np.ndarray, "h w 3"]] = []
     for picture in pictures:
         found.append(picture)

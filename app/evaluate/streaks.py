@@ -6,34 +6,22 @@ import re
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import msgspec
-
-from gsrain_engine.datasets.rainsense import RainSequence, find_rain_sequences
-from gsrain_engine.evaluation.camera_noise import FIT_TRIALS, CameraNoise, fitted_sensor
-from gsrain_engine.evaluation.photograph import Window
-from gsrain_engine.evaluation.rain_pairs import PAIRS, RainyPlace, unlabeled_pairs
-from gsrain_engine.evaluation.real_rain import (
-    FrameStatistics,
-    RealRainComparison,
-    above_horizon,
-    compare_with_real_rain,
-    evenly_chosen,
-    load_conditions,
-)
-from gsrain_engine.evaluation.real_rain_report import markdown
-from gsrain_engine.evaluation.streaks import ANGLE_EDGES_DEG, LENGTH_EDGES_PX
 from gsrain_engine.rain.settings import RainSettings
-from gsrain_engine.render.images import write_png
-from gsrain_engine.report.numbers import finite_numbers, write_text
-from gsrain_engine.report.table import Cell, Table, columns
-from gsrain_engine.scene.camera import DEFAULT_EXPOSURE_S
-from gsrain_engine.scene.sensor import DEFAULT_SENSOR, Sensor, load_sensor
 
 from ..console import print_lines, progress_bar
 from ..options import JsonFileOrScreen, check_within, option, options_of, setting, takes_set
 from ..outputs import check_ending, check_writable, table_stream, write_numbers
+
+if TYPE_CHECKING:
+    from gsrain_engine.datasets.rainsense import RainSequence
+    from gsrain_engine.evaluation.photograph import Window
+    from gsrain_engine.evaluation.rain_pairs import RainyPlace
+    from gsrain_engine.evaluation.real_rain import FrameStatistics, RealRainComparison
+    from gsrain_engine.report.table import Cell, Table
+    from gsrain_engine.scene.sensor import Sensor
+
 
 _AIR = ("wind_speed_m_s", "wind_from_deg", "gust_m_s", "turbulence_m_s")
 RenderedOptions = options_of(
@@ -76,6 +64,20 @@ def streaks(
     json: JsonFileOrScreen = None,
 ) -> None:
     """Measure rain streaks in the frames of a static camera, and in our rain over the same background."""
+    from gsrain_engine.evaluation.rain_pairs import RainyPlace
+    from gsrain_engine.evaluation.real_rain import (
+        RealRainComparison,
+        above_horizon,
+        compare_with_real_rain,
+        evenly_chosen,
+        load_conditions,
+    )
+    from gsrain_engine.evaluation.real_rain_report import markdown
+    from gsrain_engine.evaluation.streaks import ANGLE_EDGES_DEG, LENGTH_EDGES_PX
+    from gsrain_engine.report.numbers import finite_numbers, write_text
+    from gsrain_engine.scene.camera import DEFAULT_EXPOSURE_S
+    from gsrain_engine.scene.sensor import DEFAULT_SENSOR, load_sensor
+
     check_within("--frames", frames, _MIN_FRAMES, _MAX_FRAMES)
     check_ending("--report", report, (".md",))
     key = None if pairs is None else pairs.with_name(f"{pairs.name}_key.json")
@@ -114,14 +116,17 @@ def streaks(
         _write_pairs(places, pairs, key)
 
 
-def _plain(row: RealRainComparison) -> dict[str, Any]:
+def _plain(row: "RealRainComparison") -> dict[str, Any]:
     names = ("sequence", "labelled_mm_h", "rendered_mm_h", "window", "numbers", "sky_levels")
     measured = {"real": asdict(row.real.statistics), "ours": [asdict(each.statistics) for each in row.ours]}
     return {name: getattr(row, name) for name in names} | measured
 
 
-def _write_pairs(places: list[RainyPlace], folder: Path, key: Path) -> None:
+def _write_pairs(places: "list[RainyPlace]", folder: Path, key: Path) -> None:
     """Write pairs as PNG, and which side is real to another file."""
+    from gsrain_engine.evaluation.rain_pairs import PAIRS, unlabeled_pairs
+    from gsrain_engine.render.images import write_png
+
     folder.mkdir(parents=True, exist_ok=True)
     found: list[dict[str, Any]] = []
     for number, pair in enumerate(unlabeled_pairs(places, PAIRS), start=1):
@@ -131,8 +136,14 @@ def _write_pairs(places: list[RainyPlace], folder: Path, key: Path) -> None:
     write_numbers(key, {"pairs": found})
 
 
-def _fit(sequences: list[RainSequence], sensor: Sensor, frames: int, part: Window | None, file: Path) -> None:
+def _fit(sequences: "list[RainSequence]", sensor: "Sensor", frames: int, part: "Window | None", file: Path) -> None:
     """Write a sensor whose noise is that of the first sequence, if it is one without rain."""
+    import msgspec
+
+    from gsrain_engine.evaluation.camera_noise import FIT_TRIALS, CameraNoise, fitted_sensor
+    from gsrain_engine.evaluation.real_rain import above_horizon, evenly_chosen
+    from gsrain_engine.report.numbers import write_text
+
     sequence = sequences[0]
     if sequence.intensity_mm_h > 0:
         raise ValueError(f"--fit-sensor {file}: takes a sequence without rain, {sequence.name} has rain")
@@ -152,7 +163,7 @@ def _exposures(text: str) -> list[float]:
     return [float(word) for word in dict.fromkeys(words)]
 
 
-def _window(text: str) -> Window:
+def _window(text: str) -> "Window":
     match = re.fullmatch(r"(\d+),(\d+),(\d+),(\d+)", text)
     if match is None:
         raise ValueError(f"--window {text}: expected LEFT,TOP,WIDTH,HEIGHT in pixels such as 0,0,1920,540")
@@ -160,7 +171,9 @@ def _window(text: str) -> Window:
     return left, top, width, height
 
 
-def _long_enough(folder: Path) -> list[RainSequence]:
+def _long_enough(folder: Path) -> "list[RainSequence]":
+    from gsrain_engine.datasets.rainsense import find_rain_sequences
+
     found = find_rain_sequences(folder)
     for sequence in found:
         if len(sequence) < _MIN_FRAMES:
@@ -180,8 +193,10 @@ _STREAKS = {
 _STREAKS_CAPTION = "Streaks before backgrounds of gray 32 to 64: medians, with what 10 and 90 % lie below."
 
 
-def streaks_table(rows: Sequence[RealRainComparison]) -> Table:
+def streaks_table(rows: "Sequence[RealRainComparison]") -> "Table":
     """Return the table of the streaks, ours below the real ones."""
+    from gsrain_engine.report.table import Table, columns
+
     own = [
         each
         for row in rows
@@ -193,7 +208,7 @@ def streaks_table(rows: Sequence[RealRainComparison]) -> Table:
     return Table("Streaks", columns(_STREAKS), own, _STREAKS_CAPTION)
 
 
-def _cells(intensity: float, whose: str, measured: FrameStatistics) -> tuple[Cell, ...]:
+def _cells(intensity: float, whose: str, measured: "FrameStatistics") -> "tuple[Cell, ...]":
     residual, streak = measured.residual, measured.streak
     exposure = None if measured.exposure_s is None else 1e3 * measured.exposure_s
     ranges = streak.angle_deg, streak.length_px, streak.width_px, streak.rise_levels

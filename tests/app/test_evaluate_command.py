@@ -90,7 +90,7 @@ def test_options_change_the_rendered_rain(real, reported):
 
 def test_report_and_unlabeled_pairs(real, reported, tmp_path, monkeypatch):
     monkeypatch.setattr("gsrain_engine.evaluation.rain_pairs.PAIR_CROP", (100, 80))
-    monkeypatch.setattr("app.evaluate.streaks.PAIRS", 6)
+    monkeypatch.setattr("gsrain_engine.evaluation.rain_pairs.PAIRS", 6)
     conditions = tmp_path / "days.yaml"
     conditions.write_text("sequences: [{intensity_mm_h: 6.0, shutter_s: 0.012, wind_speed_m_s: 0, middle_frame: 4}]")
     page, pairs = tmp_path / "page.md", tmp_path / "pairs"
@@ -110,7 +110,7 @@ def test_report_and_unlabeled_pairs(real, reported, tmp_path, monkeypatch):
 
 
 def test_the_sensor_is_fitted_to_frames_without_rain(real, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("app.evaluate.streaks.FIT_TRIALS", 12)
+    monkeypatch.setattr("gsrain_engine.evaluation.camera_noise.FIT_TRIALS", 12)
     write_sequence(tmp_path / "clear", 0)
     file = tmp_path / "mine.yaml"
     assert run(["evaluate", "streaks", str(tmp_path / "clear"), "--frames", "7", "--fit-sensor", str(file)]) == 0

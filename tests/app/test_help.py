@@ -1,12 +1,15 @@
 """Help of every command: the common options by topic in --help, all of them in --help-all, and their names in --set."""
 
 import re
+import subprocess
+import sys
 
 import pytest
 from cyclopts import App
 
 from app.main import app, options_in_help, run
 from app.options import TOPICS, all_listed
+from repository import REPOSITORY
 
 MAX_SHOWN = 25
 """More options than this, and nobody reads them."""
@@ -67,3 +70,25 @@ def test_a_rare_option_works_without_being_listed():
     assert "--contact-angle" not in options_in_help(command_of(("render",)))
     _, bound, _ = app.parse_args(["render", "-o", "a.png", "--contact-angle", "40"], exit_on_error=False)
     assert bound.arguments["rain"].changes() == {"contact_angle_deg": 40.0}
+
+
+# Time
+
+
+HEAVY = "torch scipy numba cv2 moderngl pandas matplotlib PIL zstandard onnxruntime imgui_bundle"
+AT_ONCE = [
+    "", "bench", "evaluate", "render", "publish", "serve", "export-rain", "night", "edit", "schema", "doctor",
+    "evaluate streaks", "evaluate rain-gauge",
+]  # fmt: skip
+"""Commands whose help is there as soon as that of the program."""
+
+
+@pytest.mark.parametrize("command", AT_ONCE)
+def test_help_loads_nothing_heavy(command):
+    program = (
+        "import sys; from app.main import run; code = run(sys.argv[2:]);"
+        "sys.exit(code or ' '.join({each.partition('.')[0] for each in sys.modules} & set(sys.argv[1].split())) or 0)"
+    )
+    words = [sys.executable, "-c", program, HEAVY, *command.split(), "--help"]
+    done = subprocess.run(words, check=False, capture_output=True, text=True, cwd=REPOSITORY)
+    assert (done.returncode, done.stderr) == (0, ""), done.stderr
