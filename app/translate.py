@@ -20,8 +20,8 @@ from gsrain_engine.appearance.finetune.settings import (
     load_finetuning,
 )
 from gsrain_engine.appearance.registry import find_method, missing_for_transfer
-from gsrain_engine.appearance.scene_views import ViewChoice
 from gsrain_engine.appearance.session import source_views, transfer_views
+from gsrain_engine.appearance.view_choice import ViewChoice
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.datasets.open_source import missing_source, names_scene
 from gsrain_engine.editor.finetune import train_transfer as work

@@ -13,7 +13,8 @@ import numpy as np
 from jaxtyping import Float32
 
 from gsrain import RainSettings
-from gsrain_engine.appearance.scene_views import ViewChoice, chosen_cameras, scene_views
+from gsrain_engine.appearance.scene_views import chosen_cameras, scene_views
+from gsrain_engine.appearance.view_choice import ViewChoice
 from gsrain_engine.backends import open_renderer
 from gsrain_engine.editor.viewport.camera import home_camera
 from gsrain_engine.recolor.problem import RecolorSettings

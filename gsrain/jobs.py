@@ -10,7 +10,7 @@ from typing import Any, cast
 import msgspec
 
 from gsrain_engine.appearance.base import TransferSettings
-from gsrain_engine.appearance.scene_views import ViewChoice
+from gsrain_engine.appearance.view_choice import ViewChoice
 from gsrain_engine.backends import open_renderer
 from gsrain_engine.choices import Backend
 from gsrain_engine.datasets.capture import Capture
@@ -28,8 +28,9 @@ from gsrain_engine.evaluation.detection.settings import DetectionSettings
 from gsrain_engine.evaluation.detection.sources import DetectionSource
 from gsrain_engine.evaluation.lidar.sensor import LidarSensor
 from gsrain_engine.evaluation.lidar.session import LidarReport as LidarReport
-from gsrain_engine.evaluation.lidar.session import LidarSettings, open_sensor
 from gsrain_engine.evaluation.lidar.session import evaluate_lidar as lidar_session
+from gsrain_engine.evaluation.lidar.session import open_sensor
+from gsrain_engine.evaluation.lidar.settings import LidarSettings
 from gsrain_engine.publish.page import publish_page
 from gsrain_engine.publish.rain_gaussians import export_rain_gaussians
 from gsrain_engine.rain.available import Source, check_available

@@ -14,7 +14,7 @@ from jaxtyping import Float, Float32, Float64
 
 from gsrain_engine.appearance.base import TransferSettings
 from gsrain_engine.appearance.registry import find_method
-from gsrain_engine.appearance.scene_views import ViewChoice
+from gsrain_engine.appearance.view_choice import ViewChoice
 from gsrain_engine.choices import Axis
 from gsrain_engine.datasets.capture import Capture as Capture
 from gsrain_engine.datasets.capture import CaptureError as CaptureError

@@ -3,26 +3,13 @@
 from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
-import msgspec
-
-from gsrain_engine.appearance.scene_views import ViewChoice
-from gsrain_engine.backends import open_renderer
+from gsrain_engine.appearance.view_choice import ViewChoice
 from gsrain_engine.choices import Backend
-from gsrain_engine.datasets.open_capture import open_capture
-from gsrain_engine.datasets.open_source import missing_source, open_source, source_hash
-from gsrain_engine.evaluation.detection.detector import open_detector
-from gsrain_engine.evaluation.detection.ground_truth import read_coco
-from gsrain_engine.evaluation.detection.session import evaluate_detection
 from gsrain_engine.evaluation.detection.settings import DetectionSettings
-from gsrain_engine.evaluation.detection.sources import DetectionSource
-from gsrain_engine.rain.available import check_available
 from gsrain_engine.rain.settings import RainSettings, load_preset
-from gsrain_engine.render.video import SUFFIXES as VIDEO_SUFFIXES
 from gsrain_engine.safe_io.errors import MissingInputsError
-from gsrain_engine.scene.open import file_hash
-from gsrain_engine.scene.scene import Scene
 
 from ..console import print, print_lines, run_with_progress
 from ..options import (
@@ -39,7 +26,10 @@ from ..options import (
     takes_set,
 )
 from ..outputs import check_ending, claim_outputs, write_numbers
-from ..render import rainy_light
+
+if TYPE_CHECKING:
+    from gsrain_engine.evaluation.detection.sources import DetectionSource
+
 
 ViewOptions = options_of(
     ViewChoice,
@@ -105,6 +95,17 @@ def detection(
     match a car, truck, bus, van or trailer. With --output, finished results are stored there: the same command
     resumes after a stop, and more seeds, intensities or detectors are only added.
     """
+    import msgspec
+
+    from gsrain_engine.backends import open_renderer
+    from gsrain_engine.evaluation.detection.detector import open_detector
+    from gsrain_engine.evaluation.detection.session import evaluate_detection
+    from gsrain_engine.rain.available import check_available
+    from gsrain_engine.render.video import SUFFIXES as VIDEO_SUFFIXES
+    from gsrain_engine.scene.scene import Scene
+
+    from ..render import rainy_light
+
     let_names_lead_outside(allow_outside)
     cameras = (views or ViewOptions()).settings(ViewChoice(width_px=960))
     settings = (conditions or ConditionOptions()).settings(cameras=msgspec.to_builtins(cameras))
@@ -137,7 +138,13 @@ def detection(
     write_numbers(json, report.plain)
 
 
-def _source(name: str | None, capture: Path | None, truth: Path | None) -> DetectionSource:
+def _source(name: str | None, capture: Path | None, truth: Path | None) -> "DetectionSource":
+    from gsrain_engine.datasets.open_capture import open_capture
+    from gsrain_engine.datasets.open_source import open_source, source_hash
+    from gsrain_engine.evaluation.detection.ground_truth import read_coco
+    from gsrain_engine.evaluation.detection.sources import DetectionSource
+    from gsrain_engine.scene.open import file_hash
+
     inputs = {"source": source_hash(name)}
     inputs |= {} if capture is None else {"capture": source_hash(capture)}
     inputs |= {} if truth is None else {"truth": file_hash(truth)}
@@ -148,6 +155,8 @@ def _source(name: str | None, capture: Path | None, truth: Path | None) -> Detec
 
 def _check_inputs(detectors: Sequence[Path], truth: Path | None, sources: Sequence[Path | str | None]) -> None:
     """Raise `MissingInputsError` with all packages, files, scenes and captures that are missing."""
+    from gsrain_engine.datasets.open_source import missing_source
+
     # Average precision, which needs one of these packages, is computed last.
     packages = [name for name in ("onnxruntime", "pycocotools") if find_spec(name) is None]
     missing = [f"gsrain evaluate detection needs {each}: pip install 'gsrain[evaluate]'" for each in packages]

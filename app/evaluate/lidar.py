@@ -3,12 +3,9 @@
 from pathlib import Path
 from typing import Annotated
 
-from gsrain_engine.datasets.open_source import open_source, source_hash
 from gsrain_engine.evaluation.lidar.sensor import SENSORS, LidarSensor
-from gsrain_engine.evaluation.lidar.session import LidarSettings, evaluate_lidar, open_sensor
-from gsrain_engine.rain.available import check_available
+from gsrain_engine.evaluation.lidar.settings import LidarSettings
 from gsrain_engine.rain.settings import RainSettings
-from gsrain_engine.scene.open import file_hash
 
 from ..console import print, print_lines, run_with_progress
 from ..options import (
@@ -56,6 +53,11 @@ def lidar(
     return echoes, as does the spray of fast vehicles in a scene, and a wet road mirrors. A capture's own sweeps count
     as those of clear weather. In a scene a virtual sensor is on the ego's roof.
     """
+    from gsrain_engine.datasets.open_source import open_source, source_hash
+    from gsrain_engine.evaluation.lidar.session import evaluate_lidar, open_sensor
+    from gsrain_engine.rain.available import check_available
+    from gsrain_engine.scene.open import file_hash
+
     let_names_lead_outside(allow_outside)
     chosen_air = air or AirOptions()
     settings, rain = (conditions or ConditionOptions()).settings(), chosen_air.settings()

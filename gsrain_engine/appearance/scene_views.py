@@ -3,11 +3,10 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Annotated, Literal, overload
+from typing import overload
 
 import numpy as np
 from jaxtyping import Bool, Float, Float64
-from msgspec import Meta
 
 from ..datasets.capture import Capture
 from ..datasets.geometry import scaled_camera
@@ -16,9 +15,9 @@ from ..render.cpu.compositing import color_operator, expected
 from ..scene.camera import Camera, look_at
 from ..scene.objects import is_vehicle
 from ..scene.scene import Actor, DrawItem, Layer, Scene
-from ..settings import Settings
 from .base import ClearView, Image, Plane
 from .normals import normals_from_depth, view_rays
+from .view_choice import ViewChoice
 
 Classes = Bool[np.ndarray, " n"]
 _SOLID = 0.3  # smallest share of non-sky in a pixel with depth
@@ -109,7 +108,6 @@ def _under_open_sky(image: Image, alpha: Plane, depth: Plane, camera: Camera) ->
 
 # View choice: from the recording, along a path, or around the scene
 
-Source = Literal["auto", "recorded", "rig", "path", "around"]
 DEFAULT_COUNT = 24
 """Default number of views: enough for a street of 100 m."""
 DEFAULT_PIXELS = 480 * 320
@@ -117,37 +115,6 @@ DEFAULT_PIXELS = 480 * 320
 OWN_WIDTH_PX = 960
 """Largest default width of images in commands; narrower images keep their width."""
 _PLAIN_PX = (960, 640)  # width and height of views that have no images of their own
-_Count = Annotated[
-    int,
-    Meta(ge=1, le=100_000, title="Number of views", description="Number of views, evenly over all there are.",
-         extra={"none": "as many as fit", "usual": 24, "commands": "transfer"}),
-]  # fmt: skip
-_Width = Annotated[
-    int,
-    Meta(ge=16, le=16384, title="Width of pictures",
-         description="Width of the images, which keep their proportions; those of a capture are never enlarged.",
-         extra={"unit": "px", "none": "as 480 x 320", "usual": 480, "commands": "transfer, evaluate detection"}),
-]  # fmt: skip
-
-
-class ViewChoice(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """User settings for the choice of views."""
-
-    source: Annotated[
-        Source,
-        Meta(title="Views", description="recorded: the cameras of a capture; rig: the scene's own, along the ego's "
-             "way; path: its camera path; around: outwards from its middle and inwards from a ring; auto: the first "
-             "there is.", extra={"option": "views", "commands": "transfer"}),
-    ] = "auto"  # fmt: skip
-    count: _Count | None = None
-    """None is all views of a recording, and 24 otherwise."""
-    width_px: _Width | None = None
-    """None gives images as many pixels as 480 x 320, at most their own."""
-    sensors: Annotated[
-        tuple[str, ...],
-        Meta(title="Cameras", description="Only these of the rig (RIG/NAME, NAME or all) or the recording.",
-             extra={"option": "cameras", "commands": "transfer, evaluate detection"}),
-    ] = ()  # fmt: skip
 
 
 def chosen_cameras(

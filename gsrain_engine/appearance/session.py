@@ -19,7 +19,8 @@ from .base import ClearView, NetworkTransfer, SkippedCounts, TransferSettings
 from .capture_views import CaptureViews
 from .output_folder import ContactSheet, TransferRecord, write_transferred
 from .registry import open_transfer
-from .scene_views import OWN_WIDTH_PX, ViewChoice, chosen_cameras, chosen_views, scene_views
+from .scene_views import OWN_WIDTH_PX, chosen_cameras, chosen_views, scene_views
+from .view_choice import ViewChoice
 from .wet_look.environment import ImageEnvironment, ReflectionEnvironment, SceneEnvironment
 
 

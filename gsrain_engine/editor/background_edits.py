@@ -4,7 +4,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from ..appearance.base import TransferSettings
-from ..appearance.scene_views import ViewChoice
+from ..appearance.view_choice import ViewChoice
 from ..scene.lamp_choice import lamp_choice
 from ..scene.open import load_drawable_scene, load_sorted_scene
 from ..scene.progress import run_to_end

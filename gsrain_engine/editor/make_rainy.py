@@ -8,7 +8,7 @@ import msgspec
 from ..appearance.base import TransferSettings
 from ..appearance.cyclegan_turbo.weight_paths import find_base_model, find_transfer_weights, read_record
 from ..appearance.registry import METHODS, TransferMethod, find_method
-from ..appearance.scene_views import Source, ViewChoice
+from ..appearance.view_choice import Source, ViewChoice
 from ..safe_io.text_files import printable_line
 from .background_edits import apply_wet_look
 from .capture_view import CaptureController

@@ -13,7 +13,7 @@ from ..appearance.base import TransferSettings
 from ..appearance.dsine_checkout import check_checkout
 from ..appearance.finetune.dataset import ImageSettings
 from ..appearance.registry import method_names
-from ..appearance.scene_views import ViewChoice
+from ..appearance.view_choice import ViewChoice
 from ..presets import load_values
 from ..report.table import Cell, Column, Table
 from ..safe_io.errors import convert_checked

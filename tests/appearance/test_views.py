@@ -12,13 +12,13 @@ from gsrain_engine.appearance.scene_views import (
     EYE_HEIGHT_M,
     CachedViews,
     PlacedCamera,
-    ViewChoice,
     chosen_cameras,
     chosen_views,
     evenly_spaced_indices,
     scene_view,
     scene_views,
 )
+from gsrain_engine.appearance.view_choice import ViewChoice
 from gsrain_engine.datasets.capture import EGO_HEIGHT_M, Capture, CaptureFrame
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.scene.camera import Camera, look_at

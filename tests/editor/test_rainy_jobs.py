@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from gsrain_engine.appearance.base import TransferSettings
-from gsrain_engine.appearance.scene_views import ViewChoice, chosen_cameras
+from gsrain_engine.appearance.scene_views import chosen_cameras
+from gsrain_engine.appearance.view_choice import ViewChoice
 from gsrain_engine.editor import finetune
 from gsrain_engine.editor.edits.members import replace_scene
 from gsrain_engine.editor.jobs.make_rainy import (

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 import gsrain as gr
 from app.main import run
 from editor.files.open_document import settle
-from gsrain_engine.appearance.scene_views import ViewChoice
+from gsrain_engine.appearance.view_choice import ViewChoice
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.edits import actors, gaussians, lamps, layers, level, members, rain_keyframes, transform
 from gsrain_engine.editor.edits.floaters import FloaterRules

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from gsrain_engine.appearance.scene_views import ViewChoice, chosen_cameras
+from gsrain_engine.appearance.scene_views import chosen_cameras
+from gsrain_engine.appearance.view_choice import ViewChoice
 from gsrain_engine.recolor.views import TargetView
 from gsrain_engine.scene.scene import Scene
 from rasterized import rasterize

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from gsrain_engine.appearance.base import ClearView, RainyView, Transfer
-from gsrain_engine.appearance.scene_views import PlacedCamera, ViewChoice, chosen_cameras, scene_views
+from gsrain_engine.appearance.scene_views import PlacedCamera, chosen_cameras, scene_views
+from gsrain_engine.appearance.view_choice import ViewChoice
 from gsrain_engine.recolor.problem import RecolorSettings
 from gsrain_engine.recolor.recolor import rainy_scene
 from gsrain_engine.scene.camera import Camera, look_at

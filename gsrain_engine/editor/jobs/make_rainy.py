@@ -11,7 +11,8 @@ from jaxtyping import Float32, UInt8
 
 from ...appearance.base import ClearView, RainyView, Transfer, TransferSettings
 from ...appearance.registry import find_method, open_transfer
-from ...appearance.scene_views import PlacedCamera, ViewChoice, chosen_cameras, evenly_spaced_indices, scene_views
+from ...appearance.scene_views import PlacedCamera, chosen_cameras, evenly_spaced_indices, scene_views
+from ...appearance.view_choice import ViewChoice
 from ...appearance.wet_look.settings import WetSettings
 from ...datasets.open_capture import open_capture
 from ...evaluation.image_metrics import compare_images

@@ -4,10 +4,9 @@ from typing import Annotated
 
 from msgspec import Meta
 
-from ...appearance.scene_views import ViewChoice
+from ...appearance.view_choice import ViewChoice
 from ...rain.settings import HEAVIEST_MM_H
 from ...settings import Settings
-from ..attribution.factors import factor_names, is_attributed
 
 _COMMANDS = "evaluate detection"
 _MomentS = Annotated[float, Meta(ge=-1e9, le=1e9)]
@@ -34,7 +33,7 @@ class DetectionSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fiel
     attribute: Annotated[
         tuple[str, ...],
         Meta(title="Factors", description="Share of each part of the rain in its effect: all that it has, or those of "
-             f"a list, of which it then consists ({', '.join(factor_names(of_drives=False))}).",
+             "a list, of which it then consists, such as streaks,wet (docs/guide/attribution.md).",
              extra={"commands": _COMMANDS}),
     ] = ()  # fmt: skip
     frames: Annotated[
@@ -56,6 +55,8 @@ class DetectionSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fiel
     """Names and width of the cameras; its number and source of views have no effect."""
 
     def __post_init__(self) -> None:
+        from ..attribution.factors import is_attributed  # renderers, which the help of commands does without
+
         super().__post_init__()
         is_attributed(self.attribute)
         if self.first_s is not None and self.last_s is not None and not self.first_s < self.last_s:

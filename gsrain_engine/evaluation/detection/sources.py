@@ -7,7 +7,8 @@ import numpy as np
 from jaxtyping import Float64
 
 from ...appearance.capture_photos import CapturePhotos
-from ...appearance.scene_views import PlacedCamera, ViewChoice, chosen_cameras, chosen_views, evenly_spaced_indices
+from ...appearance.scene_views import PlacedCamera, chosen_cameras, chosen_views, evenly_spaced_indices
+from ...appearance.view_choice import ViewChoice
 from ...datasets.capture import Capture, CaptureFrame
 from ...datasets.undistort import undistort_frame
 from ...rain.settings import RainSettings

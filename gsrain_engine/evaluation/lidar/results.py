@@ -17,8 +17,9 @@ from ...rain.simulation import RainSimulation
 from ...report.charts import Color, shades
 from ...water.spray import spray_of
 from .rain_echoes import DropReturnModel
-from .scan import Answer, LidarTurn, RainyScan, ReturnOutcome, scan_in_rain
+from .scan import LidarTurn, RainyScan, ReturnOutcome, scan_in_rain
 from .sensor import Beams
+from .settings import Answer
 
 NEAR_STEP_M = 0.5  # width of the bins for drops near the sensor
 _MIN_NEAR_M = 2.0  # to which fine bins reach at least

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from pathlib import Path
-from typing import Any, Literal, no_type_check
+from typing import Any, no_type_check
 
 import msgspec
 import numba
@@ -31,9 +31,9 @@ from ...scene.scene import DrawItem, Layer, PoseTrack, Scene
 from ...water.spray import SprayParcels
 from .rain_echoes import DropReturnModel, RainReturns, box_span, drop_field_returns, sample_far_returns, wet_road_share
 from .sensor import STATED_REFLECTANCE, Beams, LidarSensor
+from .settings import Answer
 from .spray_echoes import spray_in_beams
 
-Answer = Literal["strongest", "first", "last"]
 Pose = Float64[np.ndarray, "4 4"]
 
 

@@ -5,17 +5,16 @@ from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import msgspec
 import numpy as np
-from msgspec import Meta
 from PIL import Image
 
 from ...datasets.capture import Capture, LidarSweep
 from ...rain.calibration import load_calibration
 from ...rain.properties import extinction_note
-from ...rain.settings import HEAVIEST_MM_H, RainSettings
+from ...rain.settings import RainSettings
 from ...render.images import write_image
 from ...report.interval import Interval
 from ...report.numbers import finite_numbers, provenance_lines, run_provenance, write_json
@@ -26,54 +25,13 @@ from ...safe_io.file_names import file_word
 from ...safe_io.text_files import read_whole, yaml_values
 from ...scene.progress import Progress
 from ...scene.scene import Scene
-from ...settings import Settings
 from .results import RainRun, RainRunCounts, lidar_figure, rain_runs
-from .scan import Answer, LidarTurn, capture_turns, scene_turns, write_sweep
+from .scan import LidarTurn, capture_turns, scene_turns, write_sweep
 from .sensor import SENSORS, LidarSensor
-
-_COMMANDS = "evaluate lidar"
-
+from .settings import LidarSettings
 
 LidarDetector = Callable[[LidarSweep], Mapping[str, float]]
 """Takes a sweep in the world (meters, z up) and returns the confidence (0..1) of each object that it finds, by name."""
-
-
-class LidarSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Conditions of an evaluation of a lidar."""
-
-    intensities_mm_h: Annotated[
-        tuple[Annotated[float, Meta(ge=0, le=HEAVIEST_MM_H)], ...],
-        Meta(min_length=1, title="Intensities", description="Rainfall intensities.",
-             extra={"unit": "mm/h", "option": "rain intensity", "commands": _COMMANDS}),
-    ] = (0.0, 1.2, 8.5, 12.0)  # fmt: skip
-    seeds: Annotated[
-        int,
-        Meta(ge=1, le=1000, title="Seeds", description="Number of rains of each intensity: seeds 0 to N-1.",
-             extra={"commands": _COMMANDS}),
-    ] = 5  # fmt: skip
-    sweeps: Annotated[
-        int,
-        Meta(ge=1, le=1000, title="Turns", description="Number of lidar turns, evenly over the capture or the drive.",
-             extra={"commands": _COMMANDS}),
-    ] = 1  # fmt: skip
-    answer: Annotated[
-        Answer, Meta(title="Answer", description="Reported echo of a beam.", extra={"commands": _COMMANDS})
-    ] = "strongest"
-    wet_road: Annotated[
-        bool,
-        Meta(title="Wet road", description="Water on the road reflects grazing beams away.",
-             extra={"commands": _COMMANDS}),
-    ] = True  # fmt: skip
-    full_intensity: Annotated[
-        Annotated[float, Meta(gt=0, le=1e6)] | None,
-        Meta(title="Full intensity", description="A capture's intensity of white; default: 1, or 100 if values exceed "
-             "1.", extra={"commands": _COMMANDS}),
-    ] = None  # fmt: skip
-    reflectance: Annotated[
-        float,
-        Meta(gt=0, le=1, title="Reflectance", description="Near-infrared reflectance of all surfaces of a scene.",
-             extra={"commands": _COMMANDS}),
-    ] = 0.2  # fmt: skip
 
 
 def evaluate_lidar(
