@@ -12,7 +12,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from cyclopts import App, CycloptsError, Parameter
+from cyclopts import App, ArgumentCollection, CycloptsError, Parameter
 
 from gsrain_engine.plugins import EVALUATIONS as EVALUATION_POINT
 from gsrain_engine.plugins import find_extensions
@@ -178,18 +178,18 @@ def _run(arguments: list[str]) -> int:
 
 def _rest_of_help(command: App) -> str:
     """Return the last line of a command's help, about its options that are not listed; "" if all are."""
-    shown = options_in_help(command)
+    arguments = command.assemble_argument_collection(parse_docstring=False)
+    shown = options_in_help(arguments)
     with all_listed():
-        everything = options_in_help(command)
+        everything = options_in_help(arguments)
     if len(shown) == len(everything):
         return ""
     return f"These are the common options. --help-all lists all {len(everything)}."
 
 
-def options_in_help(command: App) -> list[str]:
-    """Return the main names of the options that the help of a command lists."""
-    listed = command.assemble_argument_collection(parse_docstring=False).filter_by(show=True)
-    return [each.name for each in listed if each.name.startswith("-")]
+def options_in_help(arguments: ArgumentCollection) -> list[str]:
+    """Return the main names of the options among a command's arguments that its help lists."""
+    return [each.name for each in arguments.filter_by(show=True) if each.name.startswith("-")]
 
 
 def _has_working_directory() -> bool:

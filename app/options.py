@@ -124,15 +124,6 @@ BACKEND = option("Renderer; auto is the fastest here: OpenGL on a GPU, else the 
 Settings = TypeVar("Settings")
 Passed, Returned = ParamSpec("Passed"), TypeVar("Returned")
 
-SetFields = Annotated[
-    list[str] | None,
-    option(
-        "NAME=VALUE sets any field of the settings, also one without an option, such as roughness_m=0.03. May be given "
-        "several times.",
-        "--set", topic="More", negative="",
-    ),
-]  # fmt: skip
-
 
 @dataclass(frozen=True, kw_only=True)
 class StructOptions:
@@ -245,10 +236,15 @@ def takes_set(command: Callable[Passed, Returned]) -> Callable[Passed, Returned]
             options[place] = (options.get(place) or kinds[place]()).assigning(name, text.strip())
         return command(*args, **options)
 
+    fields_of_all = [each for kind in kinds.values() for each in fields_of(kind.kind)]
+    others = [each.name for each in fields_of_all if not each.commands and each.kind in (int, float)]
+    example = f", also one without an option, such as {others[0]}" if others else ""
+    help_text = f"NAME=VALUE sets any field of the settings{example}. May be given several times."
+    annotation = Annotated[list[str] | None, option(help_text, "--set", topic="More", negative="")]
     signature = inspect.signature(command)
-    added = inspect.Parameter("set", inspect.Parameter.KEYWORD_ONLY, default=None, annotation=SetFields)
+    added = inspect.Parameter("set", inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation)
     run.__signature__ = signature.replace(parameters=[*signature.parameters.values(), added])  # pyright: ignore
-    run.__annotations__ = {**command.__annotations__, "set": SetFields}
+    run.__annotations__ = {**command.__annotations__, "set": annotation}
     return cast("Callable[Passed, Returned]", run)
 
 
