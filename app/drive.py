@@ -19,7 +19,8 @@ from gsrain_engine.rain.calibration import load_calibration
 from gsrain_engine.rain.properties import extinction_note
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.wetness import with_wet_choice
-from gsrain_engine.render.export_settings import ExportSettings, Lod
+from gsrain_engine.render import export_settings
+from gsrain_engine.render.export_settings import Lod
 from gsrain_engine.render.level_of_detail import lod_cut
 from gsrain_engine.render.provenance import PictureProvenance
 from gsrain_engine.render.renderer import Renderer
@@ -219,7 +220,7 @@ def drive(
             rare=True,
         ),
     ] = None,
-    lod: Annotated[Lod | None, setting(ExportSettings, "lod", topic="More", rare=True)] = None,
+    lod: Annotated[Lod | None, setting(export_settings.ExportSettings, "lod", topic="More", rare=True)] = None,
     backend: Annotated[Backend, BACKEND] = "auto",
     json: JsonFile = None,
 ) -> None:
