@@ -81,6 +81,8 @@ class Calibration(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     source: str
     rows: Annotated[tuple[CalibrationRow, ...], Meta(min_length=2)]
     velocity: VelocityFit
+    diameter_growth: Annotated[float, Meta(ge=0, le=1)] | None = None
+    """Exponent of R in the mean diameter beyond the calibrated range; None continues with the slopes of the rows."""
     provenance: Provenance | None = None
     """Source of the numbers; None for calibrations not fitted by this program."""
 

@@ -144,11 +144,26 @@ def test_page_of_the_physics_has_the_extinction_of_each_calibration():
             assert f"{1000 * rain.marshall_palmer_extinction_per_m:.2f}" == extinctions[1]
         assert f"{float(extinctions[0]) / float(extinctions[1]):.1f}" == times
     foggy = rain_properties(RainSettings(intensity_mm_h=50.0, visibility_m=100.0), load_calibration("published"))
-    assert foggy.extinction_text == "8.78 /km (2.2 times Marshall-Palmer's)"
+    assert foggy.extinction_text == "6.98 /km (1.7 times Marshall-Palmer's)"
     assert extinction_note([RainSettings()]) == ""
     note = extinction_note([RainSettings(intensity_mm_h=rate) for rate in (50.0, 0.0, 8.5)])
     lighter = "1.87 /km (1.5 times Marshall-Palmer's) at 8.5 mm/h"
     assert note == f"Extinction of the rain: {lighter}, {foggy.extinction_text} at 50 mm/h."
+
+
+@pytest.mark.parametrize("intensity", [13.5, 25.0, 50.0, 149.0])
+def test_beyond_the_table_drops_grow_as_measured_ones_do(intensity):
+    """Extinction rises as Marshall and Palmer's does. The paper's model keeps the slopes of the table's rows."""
+    published, end, at = load_calibration("published"), state(intensity_mm_h=13.0), state(intensity_mm_h=intensity)
+    growth = published.diameter_growth
+    assert growth is not None and 0.154 < growth < 0.21  # Locarno from 1 mm/h on, and Marshall and Palmer
+    assert at.mean_diameter_mm / end.mean_diameter_mm == pytest.approx((intensity / 13) ** growth, rel=1e-3)
+    assert at.table_implied_mm_h / intensity == pytest.approx(end.table_implied_mm_h / 13, rel=1e-9)
+    risen = (each.extinction_per_m / each.marshall_palmer_extinction_per_m for each in (end, at))
+    assert next(risen) == pytest.approx(next(risen), rel=0.03)
+    slope = np.polyfit(*np.log([(row.intensity_mm_h, row.shape * row.scale_mm) for row in published.rows]).T, 1)[0]
+    paper = [state(intensity_mm_h=each, closure="published").mean_diameter_mm for each in (13.0, intensity)]
+    assert paper[1] / paper[0] == pytest.approx((intensity / 13) ** slope, rel=1e-3)
 
 
 @pytest.mark.parametrize("scale", [0.5, 1.5])
