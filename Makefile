@@ -74,10 +74,10 @@ lint: setup $(VENV)/.installed-jobs
 
 # Damaged files by the thousand for every reader: MINUTES each (make fuzz MINUTES=1 READERS="ply spz-4").
 # MESSAGES=10000: that many hostile messages for every server's door instead.
-fuzz: setup
+fuzz: setup $(VENV)/.installed-jobs
 	$(RUN)/python -m tests.fuzz --minutes $(or $(MINUTES),10) --messages $(or $(MESSAGES),0) $(READERS)
 
-pictures: setup
+pictures: setup $(VENV)/.installed-jobs
 	xvfb-run --auto-servernum --server-args="-screen 0 2880x3000x24" $(RUN)/python -m docs.take_pictures
 	$(RUN)/python -m docs.render_pictures
 	$(RUN)/python -m docs.notebook_pictures
@@ -107,7 +107,7 @@ sbom: wheel
 bundle: system
 	rm -rf dist/gsrain $(RELEASE)/bundle
 	$(PYTHON) -m venv $(RELEASE)/bundle
-	$(RELEASE)/bundle/bin/pip install $(QUIET_PIP) -c constraints.txt . pyinstaller
+	$(RELEASE)/bundle/bin/pip install $(QUIET_PIP) -c constraints.txt '.[alpasim,netcdf,street,usd]' pyinstaller
 	$(RELEASE)/bundle/bin/pyinstaller --noconfirm --log-level WARN --workpath $(RELEASE)/pyinstaller packaging/pyinstaller/gsrain.spec
 	cd $(RELEASE) && $(CURDIR)/dist/gsrain/gsrain doctor
 	cd $(RELEASE) && $(CURDIR)/dist/gsrain/gsrain render -o bundle.png --size 320x200 --rain 8.5
@@ -125,7 +125,7 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "GSRAIN needs Python 3.11 or newer: make PYTHON=python3.11")'
 	$(PYTHON) -m venv $(VENV)
 	$(INSTALL) --upgrade pip  # Debian's takes a fifth longer
-	$(INSTALL) -e ".[dev]"
+	$(INSTALL) -e .
 	@touch $@
 
 $(VENV)/.installed-docs: $(VENV)/.installed
@@ -136,7 +136,7 @@ $(VENV)/.installed-docs: $(VENV)/.installed
 # index can't be reached, the registry's serves.
 $(VENV)/.installed-jobs: $(VENV)/.installed
 	$(INSTALL) --no-deps --retries 0 --timeout 10 --index-url https://download.pytorch.org/whl/cpu torch || $(INSTALL) torch
-	$(INSTALL) -e ".[carla,dev,diffusion,drive,evaluate,oracles,recordings,rerun,viser,waymo]"
+	$(INSTALL) -e ".[all,dev,oracles]"
 	@touch $@
 
 system:

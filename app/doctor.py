@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 import numpy as np
 
 from gsrain_engine import plugins
+from gsrain_engine.optional_packages import OPTIONAL_PACKAGES, how_to_add, is_frozen
 from gsrain_engine.plugins import Extension, find_extensions
 from gsrain_engine.safe_io.text_files import printable_line
 
@@ -26,26 +27,6 @@ if TYPE_CHECKING:
 
 _FEW_SPLATS, _MANY_SPLATS = (100_000,), (1_000_000, 3_000_000)
 """Numbers of splats for the depth sort test, on software OpenGL and on a GPU."""
-
-_PACKAGES = {
-    "torch": ("gsrain reconstruct, and --photometric-steps and --refine of gsrain recolor", "jobs"),
-    "diffusers": ("gsrain transfer --method cyclegan-turbo", "diffusion"),
-    "transformers": ("the text encoder of cyclegan-turbo", "diffusion"),
-    "peft": ("gsrain train-transfer", "diffusion"),
-    "onnxruntime": ("the detectors of gsrain evaluate detection", "evaluate"),
-    "pycocotools": ("average precision in gsrain evaluate detection", "evaluate"),
-    "pyarrow": ("gsrain sweep, roll-outs as Parquet, Waymo Perception v2", "drive"),
-    "distributed": ("gsrain sweep on a Dask cluster", "drive"),
-    "gymnasium": ("the environments gsrain/Drive-v0 and gsrain/DrivePlan-v0", "drive"),
-    "mcap": ("MCAP files", "recordings"),
-    "rosbags": ("bags of ROS 2, and roll-outs for Foxglove", "recordings"),
-    "rerun-sdk": ("drives as Rerun recordings", "rerun"),
-    "viser": ("gsrain serve --protocol browser, gr.BrowserViewer", "viser"),
-    "carla-canvas": ("gsrain serve --protocol carla-canvas", "carla"),
-    "scenariogeneration": ("writing OpenSCENARIO and OpenDRIVE", "drive"),
-    "protobuf": ("Waymo Perception v1 (TFRecord files)", "waymo"),
-}
-"""Purpose and extra of optional packages, by name on PyPI."""
 
 
 class Finding(NamedTuple):
@@ -80,7 +61,7 @@ def doctor(
         find_normals_weights, find_normals_program, find_detector_file,
     )  # fmt: skip
     optional = [each() for each in (_osmesa, _display, _cuda, find_gsplat, *weights, find_zsh)]
-    optional = [*([video] if is_frozen() else []), *optional, *map(find_package, _PACKAGES)]
+    optional = [*([video] if is_frozen() else []), *optional, *map(find_package, OPTIONAL_PACKAGES)]
     optional = optional if sys.platform == "linux" else [opengl, *optional]
     added = [_tried(f"{each.group.noun} {each.name}", partial(describe, each)) for each in installed_extensions()]
     marks = {"MISSING": needed, "WRONG  ": tested, "absent ": optional, "broken ": added}
@@ -105,11 +86,6 @@ def doctor(
 
 
 _MARKS = {True: "passed ", False: "DIFFERS", None: "untried"}
-
-
-def is_frozen() -> bool:
-    """Return True in the program built by PyInstaller, which lacks PyAV (its wheel holds encoders under the GPL)."""
-    return getattr(sys, "frozen", False)
 
 
 def _tried(name: str, attempt: Callable[[], str], remedy: str = "") -> Finding:
@@ -284,33 +260,14 @@ def _display() -> Finding:
     return Finding("display", not problem, missing if problem else "the window can open")
 
 
-def find_package(name: str) -> Finding:
-    purpose, extra = _PACKAGES[name]
+def find_package(module: str) -> Finding:
+    name, extra, purpose = OPTIONAL_PACKAGES[module]
     try:
         if not is_frozen() and (wrong := unmet_requirements([extra]).get(name)):
             return Finding(name, False, wrong)
         return Finding(name, True, f"{metadata.version(name)}, for {purpose}")
     except metadata.PackageNotFoundError:
         return Finding(name, False, f"not installed; for {purpose}: {how_to_add(extra)}")
-
-
-_UVX_CACHE = "archive-v0"
-"""Folder of uv's cache in which uvx makes environments."""
-
-
-def how_to_add(name: str, *, is_extra: bool = True) -> str:
-    """Return the command that adds an extra, or a package, to the environment of this program (pip, pipx, uv, uvx)."""
-    requirement, environment = f"'gsrain[{name}]'" if is_extra else name, Path(sys.prefix)
-    if is_frozen():
-        return f"needs GSRAIN installed by pip, with {requirement}"
-    if (environment / "pipx_metadata.json").is_file():
-        return f"pipx runpip {environment.name} install {requirement}"
-    if _UVX_CACHE in environment.parts:  # made for one run, without pip
-        return f"uvx --from {requirement} gsrain" if is_extra else f"uvx --with {requirement} gsrain"
-    python = shlex.quote(sys.executable)
-    if (environment / "uv-receipt.toml").is_file():
-        return f"uv pip install --python {python} {requirement}"
-    return f"{python} -m pip install {requirement}"
 
 
 @finding("CUDA")

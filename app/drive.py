@@ -4,7 +4,6 @@ import traceback
 from collections.abc import Generator, Iterable, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from importlib.util import find_spec
 from itertools import chain, product
 from pathlib import Path
 from typing import Annotated, Literal, TypeVar
@@ -14,6 +13,7 @@ from cyclopts import Parameter
 
 from gsrain_engine.backends import open_renderer
 from gsrain_engine.choices import Backend
+from gsrain_engine.optional_packages import require_package
 from gsrain_engine.rain.available import check_available
 from gsrain_engine.rain.calibration import load_calibration
 from gsrain_engine.rain.properties import extinction_note
@@ -241,8 +241,8 @@ def drive(
     if rerun is not None and rerun.suffix.lower() != ".rrd":
         raise ValueError(f"--rerun {rerun}: expected the name of a Rerun recording (.rrd)")
     check_writable(json, rerun, folders=[folder])
-    if rerun is not None and find_spec("rerun") is None:
-        raise ValueError("--rerun needs rerun-sdk: pip install 'gsrain[rerun]'")
+    if rerun is not None:
+        require_package("rerun", "--rerun")
     lock_outputs(folder, *([] if rerun is None else [rerun]))
     with ExitStack() as stack:
         agents = stack.enter_context(options.opened())  # before the scene, which takes longer to read
@@ -386,10 +386,7 @@ class DriveFiles:
         if unknown:
             raise ValueError(f"--export {unknown[0]}: there is only {', '.join(EXPORTS)}")
         for name in sorted(self.exports):
-            if find_spec(EXPORTS[name]) is None:
-                raise ValueError(
-                    f"--export {name} needs {EXPORTS[name]}: pip install 'gsrain[{_EXTRAS.get(name, 'drive')}]'"
-                )
+            require_package(EXPORTS[name], f"--export {name}")
         check_within("--fps", self.fps, 1, 60)
 
     def of(self, scenario: str, agent: str, intensity_mm_h: float, seed: int, suffix: str) -> Path:

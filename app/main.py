@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import App, ArgumentCollection, CycloptsError, Parameter
 
+from gsrain_engine.optional_packages import MissingPackageError
 from gsrain_engine.plugins import EVALUATIONS as EVALUATION_POINT
 from gsrain_engine.plugins import find_extensions
 from gsrain_engine.safe_io.errors import MissingInputsError, sentence_of
@@ -141,7 +142,7 @@ def run(arguments: list[str]) -> int:
         if isinstance(error, ModuleNotFoundError) and (error.name or "").partition(".")[0] in _OURS:
             raise
         said = " ".join(sentence_of(error).split())
-        if isinstance(error, ImportError):
+        if isinstance(error, ImportError) and not isinstance(error, MissingPackageError):
             said = f"a library can't be loaded: {said}; gsrain doctor says what is missing"
         if isinstance(error, MissingInputsError) and len(error.missing) > 1:
             errors.print(f"gsrain: {len(error.missing)} inputs are missing or do not fit:")

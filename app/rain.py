@@ -15,7 +15,7 @@ from gsrain_engine.disdrometer.fit import RatesDisagreeError, calibrate_files
 from gsrain_engine.disdrometer.fit_models import FitOptions, FittedCalibration, FittedRow, fit_sizes
 from gsrain_engine.disdrometer.fit_plot import check_plot_name, write_plot
 from gsrain_engine.disdrometer.measurement import DisdrometerMeasurement
-from gsrain_engine.disdrometer.netcdf import write_spectra
+from gsrain_engine.disdrometer.open import require_netcdf
 from gsrain_engine.disdrometer.tables import load_columns
 from gsrain_engine.disdrometer.virtual import VirtualDisdrometer
 from gsrain_engine.rain.available import check_available
@@ -192,6 +192,8 @@ def disdrometer(
     """
     times = _times(seconds, record)
     check_ending("--output", output, (".nc",))
+    if output is not None:
+        require_netcdf("--output")
     check_writable(output, json)
     base = load_preset(preset) if preset is not None else _RAIN
     options = rain or DisdrometerOptions()
@@ -205,6 +207,8 @@ def disdrometer(
             advance()
     counted = instrument.collect(times, counts)
     if output is not None:
+        from gsrain_engine.disdrometer.netcdf import write_spectra  # xarray is optional
+
         output.parent.mkdir(parents=True, exist_ok=True)
         write_spectra(output, counted.spectra)
     write_numbers(json, _disdrometer_numbers(counted))

@@ -1,8 +1,8 @@
 """`gsrain info`, `convert` and `street`: inspection, conversion and export of scenes; options about scenes."""
 
+import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,6 +20,7 @@ from gsrain_engine.datasets.summary import CaptureSummary, contact_sheet, summar
 from gsrain_engine.editor.edits.actors import drive_along, drive_along_own_path
 from gsrain_engine.editor.edits.level import level_from_ground, set_camera_height
 from gsrain_engine.editor.viewport.camera import find_scene_core
+from gsrain_engine.optional_packages import require_package
 from gsrain_engine.render.images import write_image
 from gsrain_engine.report.table import Cell, Table, columns
 from gsrain_engine.safe_io.file_kinds import find_file_kind
@@ -445,8 +446,10 @@ def street(
     """Write the built-in street: Gaussians, tracks, rigs, and true images with depth, normals and labels."""
     check_within("--moments", moments, 0, 1000)
     check_within("--width", width, 16, 4096)
-    if moments and find_spec("pyrender") is None:
-        raise ValueError(f"--moments {moments}: images need pyrender and EGL, which Linux has; --moments 0 needs none")
+    if moments and sys.platform != "linux":
+        raise ValueError(f"--moments {moments}: images need EGL, which Linux has; --moments 0 needs none")
+    if moments:
+        require_package("pyrender", f"--moments {moments}")
     check_scene_folder(directory / "scene")
     check_writable(json, folders=[directory, directory / "images"])
     scene = load_street()

@@ -6,12 +6,12 @@ import os
 import signal
 import sys
 import threading
-from importlib.util import find_spec
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
 from gsrain_engine.choices import Backend
+from gsrain_engine.optional_packages import require_package
 
 from .console import counted, print
 from .options import BACKEND, JsonFile, Orientation, Wet, check_within, option, takes_set
@@ -93,8 +93,7 @@ def serve(
     if token is None and not _is_loopback(host):
         raise ValueError(f"--host {host}: other machines reach it, so --token (or the variable {TOKEN}) is needed; "
                          f"AlpaSim sends none: forward the port to its machine with ssh -L")  # fmt: skip
-    if protocol == "carla-canvas" and find_spec("carla_canvas") is None:
-        raise ValueError("--protocol carla-canvas needs carla-canvas: pip install 'gsrain[carla]'")
+    require_package("carla_canvas" if protocol == "carla-canvas" else "grpc", f"--protocol {protocol}")
     # here, as gRPC and OpenCV take a third of a second to load
     from gsrain_engine.simulation.alpasim.service import SensorsimServer
     from gsrain_engine.simulation.alpasim.simulator import Simulator, scene_ids
@@ -141,8 +140,7 @@ def _check_for_browsers(scenes: tuple[str, ...], host: str, port: int | None) ->
         forward = f"ssh -L {port or 8080}:localhost:{port or 8080} THIS_MACHINE"
         raise ValueError(f"--host {host}: pages for browsers are not encrypted, so that only this machine gets them; "
                          f"from another: {forward}")  # fmt: skip
-    if find_spec("viser") is None:
-        raise ValueError("--protocol browser needs viser: pip install 'gsrain[viser]'")
+    require_package("viser", "--protocol browser")
 
 
 def _serve_browsers(

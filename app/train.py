@@ -7,7 +7,7 @@ import msgspec
 
 from gsrain_engine.datasets.image_override import with_images
 from gsrain_engine.datasets.open_capture import open_capture
-from gsrain_engine.editor.jobs.training import require_torch
+from gsrain_engine.optional_packages import require_package
 from gsrain_engine.recolor.problem import RecolorSettings
 from gsrain_engine.recolor.recolor import RecolorOptions, recolor_to_capture
 from gsrain_engine.report.page import write_report
@@ -60,7 +60,7 @@ def reconstruct(
     lock_outputs(output)
     page = report_path(output, report)
     check_writable(page, json)
-    require_torch("gsrain reconstruct")
+    require_package("torch", "gsrain reconstruct")
     # Loading torch takes two seconds, so import it only after the checks.
     from gsrain_engine.training.data import ReconstructionTask
     from gsrain_engine.training.train import reconstruct as work
@@ -114,7 +114,7 @@ def recolor(
     page = report_path(output, report)
     check_writable(page, json)
     if options.polish or options.refine:
-        require_torch("--photometric-steps" if options.polish else "--refine")
+        require_package("torch", "--photometric-steps" if options.polish else "--refine")
     pictures = open_capture(capture or images)
     if capture is not None:
         pictures = with_images(pictures, images)

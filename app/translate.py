@@ -25,7 +25,7 @@ from gsrain_engine.appearance.view_choice import ViewChoice
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.datasets.open_source import missing_source, names_scene
 from gsrain_engine.editor.finetune import train_transfer as work
-from gsrain_engine.editor.jobs.training import HOW_TO_GET_DIFFUSION, require_torch
+from gsrain_engine.optional_packages import require_package
 from gsrain_engine.rain.settings import HEAVIEST_MM_H
 from gsrain_engine.rain.wetness import wetness
 from gsrain_engine.render.images import write_image
@@ -95,7 +95,7 @@ class MethodOptions(options_of(TransferSettings, "transfer", topic="Method")):
         missing: list[str] = []
         try:
             if find_method(self.method).needs_torch:
-                require_torch(f"--method {self.method}", HOW_TO_GET_DIFFUSION)
+                require_package("torch", f"--method {self.method}", "diffusion")
         except ValueError as error:
             missing.append(str(error))
         missing += missing_for_transfer(self.method, settings)

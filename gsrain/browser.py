@@ -21,6 +21,7 @@ from gsrain_engine.choices import Backend
 from gsrain_engine.editor.drawing.remote_view import OutdatedPictureError, RemotePictures, RemoteViewer
 from gsrain_engine.editor.viewport.camera import default_path, find_scene_core, front_camera, home_camera
 from gsrain_engine.editor.viewport.options import SETTLED_S, QualityLevel
+from gsrain_engine.optional_packages import require_package
 from gsrain_engine.rain.properties import rain_class
 from gsrain_engine.rain.settings import RainSettings as RainSettings
 from gsrain_engine.render.export_settings import DEFAULT_SIZE_PX
@@ -96,10 +97,7 @@ class BrowserViewer:
             ViewerError: When the back end can't be opened.
         """
         self._token = secrets.token_urlsafe(16) if token is None else checked_token(token)
-        try:
-            import_module("viser")
-        except ModuleNotFoundError:
-            raise ImportError("pages for browsers need viser: pip install 'gsrain[viser]'") from None
+        require_package("viser", "a page for browsers")
         self._changed = threading.Condition()
         self._scene, self._rain = scene, rain or RainSettings()
         self._backend: Backend = backend

@@ -31,6 +31,7 @@ from gsrain_engine.evaluation.lidar.session import LidarReport as LidarReport
 from gsrain_engine.evaluation.lidar.session import evaluate_lidar as lidar_session
 from gsrain_engine.evaluation.lidar.session import open_sensor
 from gsrain_engine.evaluation.lidar.settings import LidarSettings
+from gsrain_engine.optional_packages import require_package
 from gsrain_engine.publish.page import publish_page
 from gsrain_engine.publish.rain_gaussians import export_rain_gaussians
 from gsrain_engine.rain.available import Source, check_available
@@ -447,10 +448,9 @@ def reconstruct(
         ValueError: For settings that are not allowed, without torch, and for a capture with nothing to train on.
         OSError: When the scene can't be written.
     """
-    from gsrain_engine.editor.jobs.training import require_torch
     from gsrain_engine.training.settings import load_settings
 
-    require_torch("gr.reconstruct")
+    require_package("torch", "gr.reconstruct")
     from gsrain_engine.training.data import ReconstructionTask  # torch is optional
     from gsrain_engine.training.train import reconstruct as work
     from gsrain_engine.training.train import reconstruction_result

@@ -1,13 +1,13 @@
 """`gsrain evaluate detection`: effect of rain on object detectors."""
 
 from collections.abc import Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from gsrain_engine.appearance.view_choice import ViewChoice
 from gsrain_engine.choices import Backend
 from gsrain_engine.evaluation.detection.settings import DetectionSettings
+from gsrain_engine.optional_packages import has_package, missing_package
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.safe_io.errors import MissingInputsError
 
@@ -158,8 +158,8 @@ def _check_inputs(detectors: Sequence[Path], truth: Path | None, sources: Sequen
     from gsrain_engine.datasets.open_source import missing_source
 
     # Average precision, which needs one of these packages, is computed last.
-    packages = [name for name in ("onnxruntime", "pycocotools") if find_spec(name) is None]
-    missing = [f"gsrain evaluate detection needs {each}: pip install 'gsrain[evaluate]'" for each in packages]
+    packages = [name for name in ("onnxruntime", "pycocotools") if not has_package(name)]
+    missing = [missing_package(each, "gsrain evaluate detection") for each in packages]
     files = [*(("--detector", file) for file in detectors), *([] if truth is None else [("--truth", truth)])]
     missing += [f"{option} {file}: no such file" for option, file in files if not file.exists()]
     missing += [line for source in sources for line in missing_source(source)]

@@ -27,6 +27,7 @@ from gsrain_engine.evaluation.fid import (
 from gsrain_engine.evaluation.fid_features import Extractor, ExtractorChoice
 from gsrain_engine.evaluation.image_metrics import ImageDistance, check_pair, compare_images
 from gsrain_engine.evaluation.lpips_weights import ARRAY_SUFFIXES, read_lpips_weights, write_arrays
+from gsrain_engine.optional_packages import MissingPackageError, missing_package, require_package
 from gsrain_engine.report.charts import ImageComparison
 from gsrain_engine.report.interval import CONFIDENCE, Interval
 from gsrain_engine.report.numbers import finite_numbers, provenance_lines, run_provenance, set_hash
@@ -229,7 +230,7 @@ def extractor_of(choice: ExtractorChoice, option: str = "--extractor") -> Extrac
     try:
         return open_extractor(choice)
     except ModuleNotFoundError as error:
-        raise ValueError(f"{option} {choice.name} needs {error.name}: pip install 'gsrain[evaluate]'") from None
+        raise MissingPackageError(missing_package(error.name or "", f"{option} {choice.name}", "evaluate")) from None
 
 
 def _rows(
@@ -328,17 +329,16 @@ def inception_weights(
         outputs.check_writable(output)
         weights = read(file)
     except ModuleNotFoundError as error:
-        raise ValueError(f"inception-weights needs {error.name}: pip install 'gsrain[evaluate]'") from None
+        raise MissingPackageError(missing_package(error.name or "", "inception-weights", "evaluate")) from None
     write_arrays(output, weights)
     print(f"{output}: Inception of FID, {output.stat().st_size / 1e6:.1f} MB, SHA-256 {file_sha256(output)[:16]}")
 
 
 def open_lpips(weights: str) -> ImageDistance:
     """Open LPIPS of alex, vgg or a file. Raises ValueError or FileNotFoundError if that is not possible."""
-    try:
-        from gsrain_engine.evaluation.lpips import Lpips  # torch is an extra
-        from gsrain_engine.evaluation.lpips_weights import find_lpips_weights, read_lpips_weights
-    except ModuleNotFoundError as error:
-        raise ValueError(f"--lpips needs {error.name}: pip install 'gsrain[jobs]'") from None
+    require_package("torch", "--lpips")
+    from gsrain_engine.evaluation.lpips import Lpips
+    from gsrain_engine.evaluation.lpips_weights import find_lpips_weights, read_lpips_weights
+
     found = find_lpips_weights(weights) if weights in ("alex", "vgg") else read_lpips_weights(Path(weights))
     return Lpips(found).distance

@@ -15,11 +15,11 @@ from gsrain_engine.appearance.session import source_views
 from gsrain_engine.datasets.capture import Capture
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.datasets.open_source import names_scene
-from gsrain_engine.editor.jobs.training import HOW_TO_GET_DIFFUSION, require_torch
 from gsrain_engine.evaluation import compare_results as results
 from gsrain_engine.evaluation import compare_translators as translators
 from gsrain_engine.evaluation.fid import FeatureCache
 from gsrain_engine.evaluation.fid_features import ExtractorChoice
+from gsrain_engine.optional_packages import require_package
 from gsrain_engine.presets import shipped_config_names
 from gsrain_engine.render.images import write_image
 from gsrain_engine.report.numbers import provenance_lines, run_provenance, version_of, write_text
@@ -104,7 +104,7 @@ def _check_inputs(settings: results.TransferComparison) -> None:
     missing: list[str] = []
     try:
         if learned:
-            require_torch(f"method {learned[0]!r}", HOW_TO_GET_DIFFUSION)
+            require_package("torch", f"method {learned[0]!r}", "diffusion")
     except ValueError as error:
         missing.append(str(error))
     missing += translators.missing_inputs(settings)

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 from numba import njit
 
+from ..optional_packages import MissingPackageError, require_package
 from ..scene.camera import DEFAULT_EXPOSURE_S, Camera
 from ..scene.lens import Lens
 from .capture import Capture, CaptureError, CaptureFrame, abbreviated_names
@@ -616,11 +617,12 @@ def parsed(message: str, content: bytes) -> Any:
 @cache
 def message_kinds() -> dict[str, Any]:
     try:
-        descriptor = import_module("google.protobuf.descriptor_pb2")
-        pool = import_module("google.protobuf.descriptor_pool").DescriptorPool()
-        factory = import_module("google.protobuf.message_factory")
-    except ImportError:
-        raise CaptureError("Waymo's TFRecord files need the package protobuf: pip install 'gsrain[waymo]'") from None
+        require_package("google.protobuf", "a TFRecord file of Waymo")
+    except MissingPackageError as error:
+        raise CaptureError(str(error)) from None
+    descriptor = import_module("google.protobuf.descriptor_pb2")
+    pool = import_module("google.protobuf.descriptor_pool").DescriptorPool()
+    factory = import_module("google.protobuf.message_factory")
     file = descriptor.FileDescriptorProto(name="gsrain_waymo.proto", package=_PACKAGE, syntax="proto2")
     for message, fields in _FIELDS.items():
         described = file.message_type.add(name=message)

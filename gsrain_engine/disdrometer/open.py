@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from ..optional_packages import MissingPackageError, require_package
 from ..plugins import DISDROMETERS, ExtensionError, load_extensions
 from ..safe_io.file_kinds import kind_of_bytes
 from ..safe_io.limits import TooLargeError, read_file
@@ -55,6 +56,10 @@ def read_disdrometer(path: Path, columns: TableColumns | None = None) -> Disdrom
     if is_netcdf(contents.data):
         if contents.cut_off:
             raise DisdrometerFileError(path, "the gzip stream ends too early: the NetCDF file in it is cut off")
+        try:
+            require_netcdf("a NetCDF file")
+        except MissingPackageError as error:
+            raise DisdrometerFileError(path, str(error)) from None
         from .open_netcdf import read_netcdf  # loads slowly
 
         return read_netcdf(path, contents.data)
@@ -157,6 +162,12 @@ def read_contents(path: Path) -> FileContents:
     if len(data) > LARGEST_FILE:
         raise _too_large(path)
     return FileContents(path, data, cut_off)
+
+
+def require_netcdf(feature: str) -> None:
+    """Raise `MissingPackageError` if a library for NetCDF files is missing; `feature` needs it."""
+    for library in ("xarray", "h5netcdf"):
+        require_package(library, feature)
 
 
 def is_netcdf(data: bytes) -> bool:

@@ -17,13 +17,13 @@ from ..appearance.finetune.settings import (
 )
 from ..appearance.normals import ESTIMATORS, missing_estimator_files
 from ..evaluation.lpips_weights import find_lpips_weights
+from ..optional_packages import has_package, missing_package, require_package
 from ..safe_io.errors import MissingInputsError, not_found
 from ..safe_io.text_files import printable_line
 from ..scene.progress import Progress
 from ..settings import Settings
 from ..trusted_code import UntrustedCodeError, expect_trusted, trust_permanently
 from .jobs.job import Job, JobRunner
-from .jobs.training import HOW_TO_GET_DIFFUSION, has_torch, require_torch
 from .status import Answer, Question, StatusBus
 
 
@@ -69,8 +69,8 @@ class FinetuneController:
     @property
     def why_not(self) -> str | None:
         """Reason why no training can start now, in one sentence, or None."""
-        if not has_torch():
-            return f"Training needs torch, which is not installed: {HOW_TO_GET_DIFFUSION}"
+        if not has_package("torch"):
+            return missing_package("torch", "Training", "diffusion")
         if self.choice.output is None:
             return "Choose the output folder for the weights first."
         for path in (self.choice.clear, self.choice.rainy):
@@ -166,7 +166,7 @@ def train_transfer(task: FinetuneTask) -> Generator[Progress, None, FinetuneResu
 
     Yields and raises as `finetune` does, ValueError if torch is missing, and `MissingInputsError` for missing files.
     """
-    require_torch("training the transfer", HOW_TO_GET_DIFFUSION)
+    require_package("torch", "training the transfer", "diffusion")
     expect_trusted(task.code)
     if missing := missing_for_finetuning(task.settings):
         raise MissingInputsError(missing)

@@ -9,6 +9,7 @@ from ..appearance.base import TransferSettings
 from ..appearance.cyclegan_turbo.weight_paths import find_base_model, find_transfer_weights, read_record
 from ..appearance.registry import METHODS, TransferMethod, find_method
 from ..appearance.view_choice import Source, ViewChoice
+from ..optional_packages import has_package, missing_package
 from ..safe_io.text_files import printable_line
 from .background_edits import apply_wet_look
 from .capture_view import CaptureController
@@ -26,7 +27,6 @@ from .jobs.make_rainy import (
     make_rainy_job,
     preview_job,
 )
-from .jobs.training import HOW_TO_GET_DIFFUSION, has_torch
 from .live_rain import LiveRain
 from .status import StatusBus
 from .viewport.options import Texture
@@ -230,8 +230,8 @@ TITLES: dict[Source, str] = {
 
 def missing_requirements(method: TransferMethod, settings: TransferSettings) -> str | None:
     """Describe in one sentence a missing requirement and its remedy; None if all are met."""
-    if method.needs_torch and not has_torch():
-        return f"{method.title} needs torch, which is not installed: {HOW_TO_GET_DIFFUSION}"
+    if method.needs_torch and not has_package("torch"):
+        return missing_package("torch", method.title, "diffusion")
     if method.needs == "images" and settings.images is None:
         return f"{method.title}: choose a folder of pictures first."
     for path in (getattr(settings, name) for name in ("weights", "images", "base") if name in method.uses):

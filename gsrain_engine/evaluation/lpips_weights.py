@@ -4,7 +4,6 @@ import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,6 +12,7 @@ import platformdirs
 from jaxtyping import Float32
 
 from ..datasets.io.safe_pickle import read_pickle
+from ..optional_packages import import_package
 from ..safe_io.files import whole_file
 from ..safe_io.limits import check_file, check_zip_expansion, open_file
 from ..safe_io.numpy_files import read_archive
@@ -137,7 +137,7 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
         except (ValueError, OSError) as error:
             raise ValueError(f"{path}: not a readable .npz: {printable_line(error)}") from None
     if path.suffix == ".safetensors":
-        load: Any = _safetensors_module(path).load_file
+        load: Any = import_package("safetensors.numpy", f"reading {path}").load_file
         check_file(path)
         try:
             return load(path)
@@ -153,7 +153,7 @@ def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
     contiguous: dict[str, Any] = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
     if path.suffix not in ARRAY_SUFFIXES:
         raise ValueError(f"{path}: expected a name that ends with .safetensors or .npz")
-    save = None if path.suffix == ".npz" else _safetensors_module(path).save_file
+    save = None if path.suffix == ".npz" else import_package("safetensors.numpy", f"{path}").save_file
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as temporary:
         if save is not None:
@@ -163,18 +163,8 @@ def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
                 np.savez(file, **contiguous)
 
 
-def _safetensors_module(path: Path) -> Any:
-    try:
-        return import_module("safetensors.numpy")
-    except ModuleNotFoundError as error:
-        raise ValueError(f"{path}: this takes safetensors: pip install safetensors") from error
-
-
 def _torch_state(path: Path) -> dict[str, np.ndarray]:
-    try:
-        torch: Any = import_module("torch")
-    except ModuleNotFoundError as error:
-        raise ValueError(f"{path}: reading it takes torch: pip install 'gsrain[jobs]'") from error
+    torch: Any = import_package("torch", f"reading {path}")
     try:
         with open_file(path) as stream:
             check_zip_expansion(stream, path)

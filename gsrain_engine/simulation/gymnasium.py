@@ -11,13 +11,14 @@ from jaxtyping import Float32, Float64, UInt8
 from msgspec import Meta
 
 from ..choices import Backend
+from ..optional_packages import MissingPackageError, missing_package
 from ..settings import Settings
 
 try:
     import gymnasium
     from gymnasium import spaces
 except ModuleNotFoundError as _error:
-    raise ModuleNotFoundError("gymnasium is not installed: pip install 'gsrain[drive]'", name="gymnasium") from _error
+    raise MissingPackageError(missing_package("gymnasium", "an environment")) from _error
 
 from ..backends import open_renderer
 from ..scene.open import load_sorted_scene

@@ -1,10 +1,12 @@
 """Roll-out files: JSON lines and Parquet."""
 
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
+from ..optional_packages import import_package
 from ..safe_io.errors import convert_checked
 from ..safe_io.files import whole_file
 from ..safe_io.limits import check_file
@@ -163,12 +165,7 @@ def _header_and_rows(path: Path) -> tuple[bytes, list[dict[str, Any]]]:
 
 
 def _pyarrow() -> tuple[Any, Any]:
-    try:
-        import pyarrow
-        from pyarrow import parquet
-    except ModuleNotFoundError:
-        raise ImportError("Parquet files of roll-outs need pyarrow: pip install 'gsrain[drive]'") from None
-    return pyarrow, parquet
+    return import_package("pyarrow", "a Parquet file"), import_module("pyarrow.parquet")
 
 
 def _schema(arrow: Any) -> Any:

@@ -14,6 +14,7 @@ from multiprocessing.connection import Connection, wait
 from typing import Any, Protocol, cast, runtime_checkable
 from uuid import uuid4
 
+from ..optional_packages import require_package
 from ..safe_io.limits import receive_message
 from ..threads import thread_limit, usable_cores
 from .expansion import Job
@@ -219,10 +220,9 @@ class DaskCluster:
 
         Raises ValueError if no scheduler answers or Dask is missing.
         """
-        try:
-            from distributed import Client
-        except ModuleNotFoundError:
-            raise ValueError("a Dask cluster takes the package distributed: pip install 'gsrain[drive]'") from None
+        require_package("distributed", "a Dask cluster")
+        from distributed import Client
+
         try:
             self._client = Client(address, timeout=ANSWERS_WITHIN_S, set_as_default=False)
         except (OSError, TimeoutError) as error:

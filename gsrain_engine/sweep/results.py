@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import msgspec
 from msgspec import Struct, inspect
 
+from ..optional_packages import import_package
 from ..report.interval import Interval
 from ..safe_io.files import whole_file
 from ..safe_io.limits import read_file
@@ -96,10 +97,7 @@ def rows_in(data: bytes) -> list[Row]:
 
 def parquet_modules() -> tuple[Any, Any]:
     """Import pyarrow and its Parquet module on first use."""
-    try:
-        return import_module("pyarrow"), import_module("pyarrow.parquet")
-    except ModuleNotFoundError:
-        raise ValueError("rows of sweeps take the package pyarrow: pip install 'gsrain[drive]'") from None
+    return import_package("pyarrow", "a table of a sweep"), import_module("pyarrow.parquet")
 
 
 def indented_json(value: Any) -> bytes:

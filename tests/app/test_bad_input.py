@@ -2,6 +2,7 @@
 
 import json
 import shlex
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,6 @@ from app.main import BAD_INPUT, run
 from boxy_scene import boxy_scene
 from gsrain_engine.datasets.capture_folder import write_views
 from gsrain_engine.disdrometer.netcdf import write_spectra
-from gsrain_engine.editor.jobs import training
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.formats.scene_files import write_scene
 from measured_rain import measured_rain
@@ -193,7 +193,7 @@ def test_bad_input_is_one_line_that_names_it(line, words, place, monkeypatch, ca
         pytest.importorskip("onnxruntime")
         pytest.importorskip("pycocotools")
     if "needs torch" in words:
-        monkeypatch.setattr(training, "has_torch", lambda: False)
+        monkeypatch.setitem(sys.modules, "torch", None)
     monkeypatch.chdir(place)
     before = sorted(place.rglob("*"))
     assert run(shlex.split(line)) == BAD_INPUT

@@ -11,6 +11,7 @@ import pytest
 
 from app import doctor
 from app.main import run
+from gsrain_engine import optional_packages
 from gsrain_engine.appearance.cyclegan_turbo import weight_paths
 from gsrain_engine.appearance.dsine_checkout import CHECKOUT_PLACE, WEIGHTS_PLACE
 from gsrain_engine.appearance.finetune.settings import PLACE as CLIP_PLACE
@@ -29,7 +30,7 @@ def test_what_is_found_and_what_is_missing(reported):
     for package, extra in (("torch", "jobs"), ("pyarrow", "drive"), ("gymnasium", "drive")):
         is_there = find_spec(package) is not None
         assert found[package]["found"] == is_there
-        assert is_there or found[package]["what"].endswith(doctor.how_to_add(extra))
+        assert is_there or found[package]["what"].endswith(optional_packages.how_to_add(extra))
 
 
 @pytest.mark.parametrize(
@@ -49,7 +50,7 @@ def test_extras_are_added_to_the_environment_of_the_program(mark, line, tmp_path
         (environment / Path(mark).name).touch()
     monkeypatch.setattr(sys, "prefix", str(environment))
     monkeypatch.setattr(sys, "executable", "/a b/python")
-    assert doctor.how_to_add("drive") == line
+    assert optional_packages.how_to_add("drive") == line
 
 
 def test_what_pip_can_not_add_to_a_frozen_program(monkeypatch, capsys):
@@ -64,7 +65,7 @@ def test_what_pip_can_not_add_to_a_frozen_program(monkeypatch, capsys):
     doctor.doctor()
     lines = [line for line in capsys.readouterr().out.splitlines() if "not installed; for " in line]
     assert len(lines) > 5
-    assert all("needs GSRAIN installed by pip, with 'gsrain[" in line for line in lines)
+    assert all("install GSRAIN by pip, with 'gsrain[" in line for line in lines)
 
 
 def test_an_nvidia_gpu_without_its_opengl_names_the_setting_of_containers(tmp_path, monkeypatch):

@@ -114,7 +114,7 @@ def learning(task):
 @pytest.fixture
 def studio(editor, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
-    monkeypatch.setattr(finetune, "has_torch", lambda: True)
+    monkeypatch.setattr(finetune, "has_package", lambda _: True)
     monkeypatch.setattr(finetune, "train_transfer", learning)
     folders = {name: tmp_path / name for name in ("clear", "rainy", "output")}
     for name in ("clear", "rainy"):

@@ -11,7 +11,7 @@ from repository import REPOSITORY
 
 CONDA_NAMES = {
     "glfw": "pyglfw", "lazy-loader": "lazy_loader", "matplotlib": "matplotlib-base",
-    "opencv-contrib-python-headless": "py-opencv", "openexr": "openexr-python", "usd-core": "openusd",
+    "opencv-contrib-python-headless": "py-opencv", "openexr": "openexr-python",
 }  # fmt: skip
 
 

@@ -10,10 +10,10 @@ from gsrain_engine.appearance.finetune.settings import finetuning_names
 from gsrain_engine.editor.capture_view import CaptureController
 from gsrain_engine.editor.finetune import FinetuneChoice, FinetuneController
 from gsrain_engine.editor.jobs.job import JobRunner
-from gsrain_engine.editor.jobs.training import HOW_TO_GET_TORCH, has_torch
 from gsrain_engine.editor.training import TrainingController
 from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.fields import field_of
+from gsrain_engine.optional_packages import has_package, missing_package
 from gsrain_engine.training.settings import TrainingSettings, settings_names
 
 from ..widgets.fields import button, combo, edit_choice, edit_field, plain_label
@@ -48,12 +48,12 @@ def reconstruct_fields(
     if not captures.capture.has_poses:
         imgui.text_wrapped("The camera poses are unknown: compute them with COLMAP, and open its folder.")
         return
-    if has_torch():
+    if has_package("torch"):
         _reconstruction_settings(training)
         if button("Reconstruct", _RECONSTRUCT_HELP, width=-1):
             training.reconstruct()
     else:
-        imgui.text_wrapped(f"Reconstruction needs torch, which is not installed: {HOW_TO_GET_TORCH}")
+        imgui.text_wrapped(missing_package("torch", "Reconstruction"))
     why_not = training.why_no_recoloring
     if button("Recolor to these images", _RECOLOR_HELP, width=-1, why_not=why_not):
         training.recolor()

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
+from ...optional_packages import import_package
+
 torch: Any = import_module("torch")
 Tensor = Any
 Module = Any
@@ -79,10 +81,7 @@ def match_targets(layers: Iterable[str], targets: Sequence[str]) -> list[str]:
 
 def add_adapters(unet: Module, vae: Module, ranks: LoraRanks) -> None:
     """Add peft adapters: three to the UNet (alpha = rank) and one to the autoencoder. They start without effect."""
-    try:
-        peft: Any = import_module("peft")
-    except ModuleNotFoundError as error:
-        raise ValueError("training additions takes peft: pip install 'gsrain[diffusion]'") from error
+    peft: Any = import_package("peft", "training additions")
 
     def add(module: Module, adapter: str, rank: int, alpha: int, layers: list[str]) -> None:
         config = peft.LoraConfig(r=rank, lora_alpha=alpha, init_lora_weights="gaussian", target_modules=layers)

@@ -11,6 +11,7 @@ from typing import Any
 
 import msgspec
 
+from ...optional_packages import import_package
 from ...safe_io.files import whole_file
 from ...safe_io.limits import check_file, check_zip_expansion, open_file
 from ...safe_io.text_files import printable_line
@@ -143,10 +144,7 @@ def open_weights(path: Path) -> WeightsFile:
 
 
 def _read_safetensors(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
-    try:
-        safetensors: Any = import_module("safetensors")
-    except ModuleNotFoundError as error:
-        raise ValueError(f"{path}: reading it takes safetensors: pip install 'gsrain[diffusion]'") from error
+    safetensors: Any = import_package("safetensors", f"reading {path}")
     try:
         check_file(path)
         with safetensors.safe_open(path, framework="pt") as file:

@@ -19,6 +19,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import zstandard
 
+from ...optional_packages import MissingPackageError, import_package
 from ...safe_io.files import whole_file
 from ...safe_io.limits import ByteBudget, ExpansionBudget, TooLargeError, check_file, open_file
 from ...safe_io.text_files import read_whole, yaml_values
@@ -188,9 +189,9 @@ _IN_CHUNKS = ("Schema", "Channel", "Message")
 
 def _mcap_module(name: str) -> Any:
     try:
-        return import_module(f"mcap.{name}")
-    except ImportError:
-        raise CaptureError("MCAP files need the package mcap: pip install 'gsrain[recordings]'") from None
+        return import_package(f"mcap.{name}", "an MCAP file")
+    except MissingPackageError as error:
+        raise CaptureError(str(error)) from None
 
 
 class McapContainer(Container):

@@ -16,6 +16,7 @@ import msgspec
 import numpy as np
 from jaxtyping import Float64, Int64, UInt8
 
+from ...optional_packages import MissingPackageError, import_package, require_package
 from ..capture import CaptureError
 from ..geometry import Pose, rigid_from_quaternion
 from ..io.arrays import WRONG_VALUES, what_is_wrong
@@ -88,15 +89,19 @@ def encoded(value: Any, topic: Topic) -> bytes:
 def _ros() -> Any:
     """Types of ROS 2, the same in all its releases as far as they are read here; those in a file are not compiled."""
     try:
-        typesys = import_module("rosbags.typesys")
-    except ImportError:
-        raise CaptureError("messages of ROS 2 need the package rosbags: pip install 'gsrain[recordings]'") from None
+        typesys = import_package("rosbags.typesys", "a bag of ROS 2")
+    except MissingPackageError as error:
+        raise CaptureError(str(error)) from None
     return typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
 
 
 @cache
 def _protobuf(topic: Topic) -> Any:
     """Class of a topic's messages, from the descriptors in its file."""
+    try:
+        require_package("google.protobuf", "an MCAP file of Protobuf messages", "recordings")
+    except MissingPackageError as error:
+        raise CaptureError(str(error)) from None
     descriptor = import_module("google.protobuf.descriptor_pb2")
     pool = import_module("google.protobuf.descriptor_pool").DescriptorPool()
     factory = import_module("google.protobuf.message_factory")

@@ -5,7 +5,6 @@ import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache
-from importlib import import_module
 from io import TextIOWrapper
 from itertools import islice
 from pathlib import Path
@@ -15,6 +14,7 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 from numba import njit
 
+from ...optional_packages import MissingPackageError, import_package
 from ...safe_io.errors import SceneFormatError
 from ...safe_io.limits import InputError, check_expansion, check_file, open_file
 from ...scene.formats.ply_header import element_rows, read_ply_header
@@ -96,9 +96,9 @@ def _plain(value: Any) -> Any:
 @cache
 def parquet_module() -> Any:
     try:
-        return import_module("pyarrow.parquet")
-    except ImportError:
-        raise CaptureError("Waymo's Parquet files need the package pyarrow: pip install 'gsrain[waymo]'") from None
+        return import_package("pyarrow.parquet", "a Parquet file of Waymo", "waymo")
+    except MissingPackageError as error:
+        raise CaptureError(str(error)) from None
 
 
 # TFRecord, without TensorFlow

@@ -16,6 +16,7 @@ from ...appearance.view_choice import ViewChoice
 from ...appearance.wet_look.settings import WetSettings
 from ...datasets.open_capture import open_capture
 from ...evaluation.image_metrics import compare_images
+from ...optional_packages import require_package
 from ...recolor.cached_colors import cached_scene, wet_color_file
 from ...recolor.problem import RecolorSettings
 from ...recolor.recolor import rainy_scene, wet_scene
@@ -32,7 +33,7 @@ from ...scene.progress import Progress, subprogress
 from ...scene.scene import Scene
 from .folder import new_report, write_copy
 from .job import Job
-from .training import COLORS_FILE, HOW_TO_GET_DIFFUSION, SOLVER_PLOTS, require_torch, write_colors
+from .training import COLORS_FILE, SOLVER_PLOTS, write_colors
 
 MAKE_RAINY_TITLE = "Apply wet look"
 
@@ -260,7 +261,7 @@ def _opened(method: str, settings: TransferSettings, scene: Scene) -> Transfer:
 
     row = find_method(method)
     if row.needs_torch:
-        require_torch(row.title, HOW_TO_GET_DIFFUSION)
+        require_package("torch", row.title, "diffusion")
     return open_transfer(method, settings, SceneEnvironment(scene))
 
 

@@ -1,12 +1,11 @@
 """Jobs of the `jobs` extra: recolor, reconstruct; and the check for torch."""
 
 from collections.abc import Generator, Iterator
-from functools import cache
-from importlib.util import find_spec
 from pathlib import Path
 
 from ...datasets.image_override import with_images
 from ...datasets.open_capture import open_capture
+from ...optional_packages import require_package
 from ...recolor.recolor import RecolorOptions, RecolorRun, recolor_to_capture
 from ...recolor.result import read_recolored, with_colors, write_recolored
 from ...report.page import write_report
@@ -107,25 +106,7 @@ def reconstruction_job(capture: Path, settings: TrainingSettings, *, allow_outsi
 
 def reconstruct_capture(task: ReconstructionTask) -> Iterator[Progress]:
     """Worker: reconstruct a capture, with torch."""
-    require_torch("reconstructing")
+    require_package("torch", "reconstructing")
     from ...training.train import reconstruct
 
     yield from reconstruct(task)
-
-
-# Check for torch without importing it
-
-HOW_TO_GET_TORCH = "pip install 'gsrain[jobs]'"
-HOW_TO_GET_DIFFUSION = "pip install 'gsrain[diffusion]'"
-"""Command that installs torch and the dependencies of diffusion models."""
-
-
-@cache
-def has_torch() -> bool:
-    return find_spec("torch") is not None
-
-
-def require_torch(what: str, how: str = HOW_TO_GET_TORCH) -> None:
-    """Raise ValueError with the install command if torch is missing; `what` is the feature that needs it."""
-    if not has_torch():
-        raise ValueError(f"{what} needs torch, which is not installed: {how}")

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Float32, Float64, Int, Int64, Shaped
 
+from ...optional_packages import import_package
 from ...plugins import DECODERS, Extension, find_extension
 from ...safe_io.limits import check_file, open_file
 from ...safe_io.text_files import printable_line
@@ -488,13 +489,9 @@ def _further_input(tensor: Tensor, role: InputRole, width: int, height: int) -> 
 def open_onnx(path: Path, inputs: Mapping[str, InputRole] | None = None) -> OnnxModel:
     """Open a file for the CPU, with what its inputs get by name.
 
-    Raises ValueError with one sentence if it is no network for one image, and ModuleNotFoundError with the package to
-    install if onnxruntime is missing.
+    Raises ValueError with one sentence if it is no network for one image, `MissingPackageError` without onnxruntime.
     """
-    try:
-        import onnxruntime
-    except ModuleNotFoundError:
-        raise ModuleNotFoundError("detectors need onnxruntime: pip install 'gsrain[evaluate]'") from None
+    onnxruntime = import_package("onnxruntime", "a detector")
     if not path.exists():
         raise ValueError(f"{path}: no such file")
     check_file(path)

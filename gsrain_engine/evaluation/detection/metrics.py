@@ -11,6 +11,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float, Float64
 
+from ...optional_packages import require_package
 from ...report.interval import Interval
 from .decoders import intersection_over_union
 from .detector import Detection
@@ -54,7 +55,7 @@ def average_precision(
     the mean over 0.50, 0.55, ... 0.95 (Lin et al. 2014 and COCO's own program). 0 to 1, higher is better. A detection
     counts for the labeled class that matches it (`is_same_class`). If several match, as for a car and a vehicle of
     unknown kind, it counts for the class of the object it overlaps, otherwise for its own class. Detections without a
-    matching labeled class are ignored. Raises ValueError if the numbers of images differ, ModuleNotFoundError with the
+    matching labeled class are ignored. Raises ValueError if the numbers of images differ, MissingPackageError with the
     package to install if pycocotools is missing.
     """
     if len(truths) != len(detections):
@@ -72,11 +73,10 @@ def _precision(
     truths: Sequence[Sequence[LabeledBox]], detections: Sequence[Sequence[Detection]], classes: Sequence[str]
 ) -> Any:
     """Precision by IoU (10), recall (101) and class."""
-    try:
-        from pycocotools.coco import COCO
-        from pycocotools.cocoeval import COCOeval
-    except ModuleNotFoundError:
-        raise ModuleNotFoundError("average precision needs pycocotools: pip install 'gsrain[evaluate]'") from None
+    require_package("pycocotools", "average precision")
+    from pycocotools.coco import COCO
+    from pycocotools.cocoeval import COCOeval
+
     numbers = {name: number for number, name in enumerate(classes, start=1)}
     labels = [_entry(image, box, numbers[box.class_name]) for image, boxes in enumerate(truths) for box in boxes]
     scored = [

@@ -12,6 +12,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float, Float64
 
+from ...optional_packages import import_package
 from ...scene.camera import Camera
 from ..cpu.compositing import color_operator_transpose
 from ..cpu.splats import nearest_first
@@ -224,10 +225,7 @@ def render_with_gsplat(
     if means.dtype != torch.float32:
         raise ValueError(f"the cuda backend renders float32, got {means.dtype}; backend='cpu' renders both")
     if gsplat is None:
-        try:
-            gsplat = import_module("gsplat")
-        except ImportError:
-            raise ValueError("the cuda backend needs gsplat: pip install 'gsrain[cuda]'") from None
+        gsplat = import_package("gsplat", "the cuda backend")
     if not len(means):  # gsplat rejects an empty scene
         blank = means.sum() + means.new_zeros((camera.height, camera.width))  # an empty sum keeps the graph connected
         footprint = Footprint(means.new_zeros(0))

@@ -22,6 +22,7 @@ import numpy as np
 import psutil
 from jaxtyping import Float32, Float64
 
+from ...optional_packages import MissingPackageError, require_package
 from ...safe_io.errors import SceneFormatError
 from ...safe_io.limits import address_space_bytes, read_file, reading_deadline
 from ..gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
@@ -60,6 +61,10 @@ def read_usdz_scene(path: Path) -> Scene:
 
     Raises `SceneFormatError` if the file is damaged, has no Gaussians, or refers to files outside of it.
     """
+    try:
+        require_package("pxr", "a .usdz file")
+    except MissingPackageError as error:
+        raise SceneFormatError(path, str(error)) from None
     data = read_file(path)
     with tempfile.TemporaryDirectory(prefix="gsrain-usdz-") as folder:
         root = _unpack(path, data, Path(folder) / "stage")
@@ -244,6 +249,7 @@ def write_usdz_scene(scene: Scene, path: Path) -> None:
 
     Opacity and grading are baked into the Gaussians, wet colors are left out.
     """
+    require_package("pxr", "a .usdz file")
     end = f".{secrets.token_hex(4)}.part"  # as of all partial files: removed if this process is killed
     with tempfile.TemporaryDirectory(prefix=".usdz-", suffix=end, dir=path.parent) as folder:
         root = Path(folder) / _ROOT

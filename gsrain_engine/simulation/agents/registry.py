@@ -1,6 +1,5 @@
 """Registry of agents: shipped ones, those of installed packages, and those in Python files."""
 
-import importlib.util
 import inspect
 import sys
 from collections.abc import Callable
@@ -12,6 +11,7 @@ from typing import Annotated, Any, NamedTuple
 from msgspec import Meta, Struct
 
 from ...evaluation.detection.detector import find_detector
+from ...optional_packages import has_package, missing_package
 from ...plugins import AGENTS, Extension, find_extension, find_extensions
 from ...trusted_code import Code, check_trusted, read_code, run_main
 from .base import Agent, ConstantVelocityAgent
@@ -112,8 +112,8 @@ def default_agent(options: AgentOptions) -> tuple[str, str | None]:
     """
     if options.detector is not None:
         return "camera-idm", None
-    if importlib.util.find_spec("onnxruntime") is None:
-        return "oracle-idm", f"{_INSTEAD}: onnxruntime is not installed (pip install 'gsrain[drive]')"
+    if not has_package("onnxruntime"):
+        return "oracle-idm", f"{_INSTEAD}: {missing_package('onnxruntime', 'it', 'drive')}"
     try:
         find_detector()
     except FileNotFoundError as error:

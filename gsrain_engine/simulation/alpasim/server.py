@@ -10,11 +10,11 @@ from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from concurrent.futures import TimeoutError as NotDoneError
 from contextlib import contextmanager
-from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from ...malloc_tuning import trim_memory
+from ...optional_packages import import_package
 from ...safe_io.limits import checked_token, is_same_token
 from .messages import HEALTH_SERVICE, calls, decode_error
 from .simulator import RequestError, Simulator
@@ -55,7 +55,7 @@ class RenderServer:
         metadata `authorization: Bearer TOKEN`; those without are refused before their message is received. Raises
         `OSError` if the address can't be used, `ValueError` for a token that metadata can't hold.
         """
-        grpc: Any = import_module("grpc")
+        grpc: Any = import_package("grpc", "a server of AlpaSim or CARLA")
         self._grpc, self._token, self.sessions = grpc, None if token is None else checked_token(token), sessions
         self.version = own_version()
         self.answered = self.refused = self.running = 0

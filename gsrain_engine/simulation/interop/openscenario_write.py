@@ -11,6 +11,7 @@ import numpy as np
 import shapely
 from jaxtyping import Float64
 
+from ...optional_packages import MissingPackageError, missing_package
 from ...rain.calibration import load_calibration
 from ...rain.properties import rain_properties
 from ...rain.settings import RainSettings
@@ -28,9 +29,7 @@ from .openscenario_read import EGO, LANE_M, OWN_FIELDS, PROPERTY
 try:
     from scenariogeneration import xodr, xosc
 except ModuleNotFoundError as error:
-    raise ModuleNotFoundError(
-        "writing OpenSCENARIO needs scenariogeneration: pip install 'gsrain[drive]'", name="scenariogeneration"
-    ) from error
+    raise MissingPackageError(missing_package("scenariogeneration", "writing OpenSCENARIO")) from error
 
 words: Any = xosc
 """Enumerations: scenariogeneration declares them as another type than its own classes accept."""

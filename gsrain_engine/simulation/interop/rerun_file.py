@@ -11,6 +11,7 @@ import numpy as np
 import scipy
 from jaxtyping import Float32, Float64, Int64, UInt8
 
+from ...optional_packages import import_package
 from ...safe_io.files import whole_file
 from ...scene.gaussians import SH_C0
 from ...scene.scene import Scene
@@ -45,12 +46,9 @@ def write_rollout_rerun(
     its box, world/road_users, world/plan, world/camera with its images, motion/... (speed in m/s, acceleration, gap and
     time to collision) and log. `pictures` are in the order of steps and are consumed lazily.
 
-    Raises ImportError with install instructions if rerun-sdk is missing, and ValueError for an image without a step.
+    Raises `MissingPackageError` without rerun-sdk, and ValueError for an image without a step.
     """
-    try:
-        rerun: Any = import_module("rerun")
-    except ModuleNotFoundError:
-        raise ImportError("Rerun files need rerun-sdk: pip install 'gsrain[rerun]'") from None
+    rerun: Any = import_package("rerun", "a Rerun file")
     with whole_file(path) as partial:
         name = f"{rollout.scenario_name}, {rollout.agent}, {rollout.intensity_mm_h:g} mm/h, seed {rollout.seed}"
         stream = rerun.RecordingStream("gsrain", recording_id=name)

@@ -14,6 +14,7 @@ from jaxtyping import Float32, Float64
 from scipy.spatial.transform import Rotation
 
 from ...evaluation.lidar.scan import RainyScan
+from ...optional_packages import require_package
 from ...safe_io.files import whole_folder
 from ..rollout import CameraImage, Rollout, RolloutStep, UserModel, UserRecord
 
@@ -54,13 +55,12 @@ def write_rollout_bag(
     and /lidar/points. `pictures` and `turns` are in the order of steps (all pictures of a camera, then of the next) and
     are consumed lazily. An earlier bag at `folder` is replaced.
 
-    Raises ImportError with install instructions if rosbags is missing, and ValueError for an image without a step.
+    Raises `MissingPackageError` without rosbags, and ValueError for an image without a step.
     """
-    try:
-        from rosbags.rosbag2 import StoragePlugin, Writer
-        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-    except ModuleNotFoundError:
-        raise ImportError("bags of ROS 2 need rosbags: pip install 'gsrain[recordings]'") from None
+    require_package("rosbags", "a bag of ROS 2")
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
     store = get_typestore(Stores.ROS2_HUMBLE)
     for name, text in _VISION.items():
         store.register(get_types_from_msg(text, name))

@@ -1,0 +1,76 @@
+"""Features whose package is missing: one sentence, with the line that installs it, and nothing is lost."""
+
+import re
+import sys
+import tomllib
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+from app.main import BAD_INPUT, run
+from gsrain_engine.optional_packages import OPTIONAL_PACKAGES, MissingPackageError, import_package
+from gsrain_engine.scene.formats.scene_files import write_scene
+from repository import REPOSITORY
+from small_scene import small_scene
+
+
+@pytest.fixture
+def without(monkeypatch):
+    """Hide a package, as if it were not installed."""
+    return lambda module: monkeypatch.setitem(sys.modules, module, None)
+
+
+def test_each_optional_package_is_one_of_its_extra():
+    project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text("utf-8"))["project"]
+    extras = project["optional-dependencies"]
+    base = {canonicalize_name(Requirement(each).name) for each in project["dependencies"]}
+    for package in OPTIONAL_PACKAGES.values():
+        assert package.name in {Requirement(each).name for each in extras[package.extra]}
+        assert canonicalize_name(package.name) not in base
+    assert len(base) <= 23
+
+
+@pytest.mark.parametrize(
+    ("module", "words", "package", "extra"),
+    [
+        ("pxr", ["convert", "{scene}", "{out}/a.usdz"], "usd-core", "usd"),
+        ("xarray", ["disdrometer", "-o", "{out}/a.nc"], "xarray", "netcdf"),
+        ("pyrender", ["street", "{out}/street"], "pyrender", "street"),
+        ("grpc", ["serve", "{scene}"], "grpcio", "alpasim"),
+        ("carla_canvas", ["serve", "{scene}", "--protocol", "carla-canvas"], "carla-canvas", "carla"),
+        ("viser", ["serve", "{scene}", "--protocol", "browser"], "viser", "viser"),
+        ("rerun", ["drive", "--rerun", "{out}/a.rrd", "-o", "{out}/drive"], "rerun-sdk", "rerun"),
+        ("rosbags", ["drive", "--export", "ros2", "-o", "{out}/drive"], "rosbags", "recordings"),
+    ],
+)
+def test_a_command_names_the_package_and_the_line_that_installs_it(
+    module, words, package, extra, without, tmp_path, capsys
+):
+    scene, out = tmp_path / "scene", tmp_path / "out"
+    write_scene(small_scene(), scene)
+    without(module)
+    assert run([each.format(scene=scene, out=out) for each in words]) == BAD_INPUT
+    (line,) = capsys.readouterr().err.splitlines()
+    installs = re.escape(f"-m pip install 'gsrain[{extra}]'")
+    assert re.search(f" needs {package}, which is not installed: .*{installs}$", line)
+    assert not out.exists() or not list(out.iterdir())
+
+
+def test_a_missing_package_is_an_import_error_and_a_wrong_value(without):
+    without("rerun")
+    with pytest.raises(MissingPackageError) as caught:
+        import_package("rerun", "a Rerun file")
+    assert isinstance(caught.value, ImportError) and isinstance(caught.value, ValueError)
+    assert caught.value.name == "rerun"
+
+
+def test_a_scene_whose_package_is_missing_is_named_by_its_own_file(without, tmp_path, capsys):
+    scene = tmp_path / "scene"
+    write_scene(small_scene(), scene)
+    assert run(["convert", str(scene), str(tmp_path / "a.usdz")]) == 0
+    without("pxr")
+    capsys.readouterr()
+    for words in (["info", f"{tmp_path / 'a.usdz'}"], ["convert", f"{scene}", f"{tmp_path / 'b.usdz'}"]):
+        assert run(words) == BAD_INPUT
+        assert capsys.readouterr().err.startswith(f"gsrain: {words[-1]}: a .usdz file needs usd-core, ")
