@@ -446,9 +446,9 @@ def _visible_distances(
 def _visible(distance: Mapping[str, Any]) -> str:
     """Describe a visible distance in one line."""
     return (
-        "visible distance f D at f = {focal_px:.0f} px: {large_drop_m:.2f} m for a drop of {large_drop_mm:.2f} mm "
-        "(97.5 % are smaller), haze beyond {large_drop_haze_m:.2f} m; {median_volume_drop_m:.2f} m for the "
-        "median-volume drop of {median_volume_drop_mm:.2f} mm"
+        "a drop covers a pixel (focal length {focal_px:.0f} px) up to {large_drop_m:.2f} m away if it has "
+        "{large_drop_mm:.2f} mm (97.5 % are smaller), up to {median_volume_drop_m:.2f} m if {median_volume_drop_mm:.2f} mm "
+        "(median volume); haze from {large_drop_haze_m:.2f} m on"
     ).format(**distance)
 
 

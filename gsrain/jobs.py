@@ -99,7 +99,7 @@ def export_rain(
 
     Args:
         source: A recording (nuScenes, KITTI, Waymo, MCAP, ROS 2 bag, folder of images) by its path: its copy in the
-            same format has images and lidar in rain, and all else as it was. Or a scene.
+            same format has images and lidar in rain, and copies of all other files. Or a scene.
         output: New folder of the copy, or file where the recording is one; of a scene a file such as .ply.
         rain: The rain.
         camera: Scene: camera or path that the Gaussians are made for; None is its home camera.

@@ -95,5 +95,5 @@ def _waymo_tables(source: Path) -> Recording:
 def _folder(source: Path, capture: Capture) -> Recording:
     folder = source if source.is_dir() else source.parent  # NUSCENES/scene-0061 names a scene, not a folder
     has_lidar = any(sweep.source is not None and isinstance(sweep.source.key, RowFile) for sweep in capture.sweeps)
-    untouched = ("its lidar: it is not of a kind that is written",) if capture.sweeps and not has_lidar else ()
+    untouched = ("its lidar, in a format that can only be read",) if capture.sweeps and not has_lidar else ()
     return Recording(capture, folder, partial(write_rainy_folder, capture, folder), False, has_lidar, untouched)

@@ -268,7 +268,7 @@ def test_the_visible_distance_grows_with_the_focal_length_and_needs_rain(tmp_pat
         assert each["median_volume_drop_m"] == pytest.approx(each["focal_px"] * 1.117e-3, rel=0.01)
     assert large["focal_px"] == pytest.approx(2 * small["focal_px"])
     printed = capsys.readouterr().out
-    assert f"visible distance f D at f = {small['focal_px']:.0f} px: {small['large_drop_m']:.2f} m" in printed
+    assert f"(focal length {small['focal_px']:.0f} px) up to {small['large_drop_m']:.2f} m away" in printed
     assert reported(*words, "--rain", "0", "--size", "96x64")["visible_distance"] == []
     assert "visible distance" not in capsys.readouterr().out
 

@@ -200,7 +200,7 @@ def scores_table(scored: Sequence[ScoreByIntensity]) -> Table:
     """Table of the scores: means over objects and seeds."""
     titled = {
         "detector": "", "picture": "", "mm/h": "g", "objects": "", "confidence": ".3f", "change": "+.3f",
-        f"recall@{FOUND_FROM:g}": ".0%", "IoU": ".2f", "flips": ".0%", "mAP50": ".3f", "mAP": ".3f",
+        f"recall@{FOUND_FROM:g}": ".0%", "IoU": ".2f", "wrong class": ".0%", "mAP50": ".3f", "mAP": ".3f",
     }  # fmt: skip
     rows = [
         (
