@@ -447,8 +447,8 @@ def _visible(distance: Mapping[str, Any]) -> str:
     """Describe a visible distance in one line."""
     return (
         "a drop covers a pixel (focal length {focal_px:.0f} px) up to {large_drop_m:.2f} m away if it has "
-        "{large_drop_mm:.2f} mm (97.5 % are smaller), up to {median_volume_drop_m:.2f} m if {median_volume_drop_mm:.2f} mm "
-        "(median volume); haze from {large_drop_haze_m:.2f} m on"
+        "{large_drop_mm:.2f} mm (97.5 % are smaller), up to {median_volume_drop_m:.2f} m if it has "
+        "{median_volume_drop_mm:.2f} mm (median volume); haze from {large_drop_haze_m:.2f} m on"
     ).format(**distance)
 
 
