@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 import numpy as np
 
 from gsrain_engine import plugins
-from gsrain_engine.optional_packages import OPTIONAL_PACKAGES, how_to_add, is_frozen
+from gsrain_engine.optional_packages import OPTIONAL_PACKAGES, has_package, how_to_add, is_frozen, missing_package
 from gsrain_engine.plugins import Extension, find_extensions
 from gsrain_engine.safe_io.text_files import printable_line
 
@@ -422,10 +422,15 @@ def installed_extensions() -> list[Extension]:
 
 
 def describe(extension: Extension) -> str:
-    """Load an extension as the program would, and return its origin. Raises ValueError if it is unusable."""
+    """Load an extension as the program would, and return its origin and what it lacks.
+
+    Raises ValueError if it is unusable.
+    """
+    lacks: list[str] = []
     if extension.group in _KINDS:
         module, _, kind = _KINDS[extension.group].partition(":")
-        extension.load(getattr(import_module(module), kind))
+        loaded = extension.load(getattr(import_module(module), kind))
+        lacks = [missing_package(each, "it") for each in getattr(loaded, "packages", ()) if not has_package(each)]
     elif extension.group is plugins.SCENE_FORMATS:
         from gsrain_engine.scene.formats.registry import format_of
 
@@ -440,12 +445,13 @@ def describe(extension: Extension) -> str:
         decoder(extension.name)
     else:  # agents and evaluations
         extension.load_callable()
-    return f"{extension.place} of {extension.package} {extension.version}".rstrip()
+    return "; ".join([f"{extension.place} of {extension.package} {extension.version}".rstrip(), *lacks])
 
 
 _KINDS = {
     plugins.PANELS: "ui.panels.registry:Panel",
     plugins.DISDROMETERS: "gsrain_engine.disdrometer.open:LogFormat",
     plugins.CAPTURE_FORMATS: "gsrain_engine.datasets.open_capture:CaptureFormat",
+    plugins.PROTOCOLS: "gsrain_engine.simulation.serving.protocols:ServerProtocol",
 }
 """Types of extensions that are values."""

@@ -1,40 +1,35 @@
 """`gsrain serve`: scenes in rain for simulators, as a gRPC service, and for browsers, as a page."""
 
-import ipaddress
-import logging
 import os
 import signal
-import sys
 import threading
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
 from gsrain_engine.choices import Backend
-from gsrain_engine.optional_packages import require_package
 
-from .console import counted, print
+from .console import print
 from .options import BACKEND, JsonFile, Orientation, Wet, check_within, option, takes_set
 from .outputs import check_writable, write_numbers
 from .render import RainOptions
 
 if TYPE_CHECKING:
-    from gsrain_engine.scene.scene import Scene
+    pass
 
 
-TOKEN, LOOPBACK, ALPASIM_PORT = "GSRAIN_TOKEN", "127.0.0.1", 50051
-CANVAS_PROGRAM = "CARLA_CANVAS_PARENT_PID"
+TOKEN, LOOPBACK = "GSRAIN_TOKEN", "127.0.0.1"
 
 
 @takes_set
 def serve(
     *scenes: Annotated[str, Parameter(help="Scene files or folders; default: the built-in street.")],
     protocol: Annotated[
-        Literal["alpasim", "carla-canvas", "browser"],
+        str,
         option(
-            "alpasim: the sensor simulator of NVIDIA's AlpaSim (SensorsimService). carla-canvas: a renderer of CARLA's "
-            "cameras and lidars; needs carla-canvas. browser: a page with a live view and the settings of the rain, "
-            "for machines without a display; needs viser.",
+            "Who is served: alpasim, the sensor simulator of NVIDIA's AlpaSim (SensorsimService); carla-canvas, "
+            "CARLA's cameras and lidars; browser, a page with a live view and the settings of the rain, for machines "
+            "without a display; or the protocol of an installed package. gsrain doctor lists them.",
             topic="Service",
         ),
     ] = "alpasim",
@@ -77,6 +72,7 @@ def serve(
     from gsrain_engine.safe_io.limits import checked_token
     from gsrain_engine.scene.formats.nurec import scene_id
     from gsrain_engine.scene.open import load_sorted_scene
+    from gsrain_engine.simulation.serving.protocols import RainyScene, ServerOptions, find_protocol
 
     from .render import rainy_light, rendered_weather
 
@@ -86,85 +82,26 @@ def serve(
     token = token if token is not None else os.environ.get(TOKEN) or None
     if token is not None:
         checked_token(token)
-    if protocol == "browser":
-        _check_for_browsers(scenes, host, port)
-        opened = (orientation or Orientation()).of(load_sorted_scene((scenes or ("street",))[0]))
-        return _serve_browsers(opened, rain or RainOptions(), wet, backend, port, sessions, token, json)
-    if token is None and not _is_loopback(host):
-        raise ValueError(f"--host {host}: other machines reach it, so --token (or the variable {TOKEN}) is needed; "
-                         f"AlpaSim sends none: forward the port to its machine with ssh -L")  # fmt: skip
-    require_package("carla_canvas" if protocol == "carla-canvas" else "grpc", f"--protocol {protocol}")
-    # here, as gRPC and OpenCV take a third of a second to load
-    from gsrain_engine.simulation.alpasim.service import SensorsimServer
-    from gsrain_engine.simulation.alpasim.simulator import Simulator, scene_ids
-    from gsrain_engine.simulation.carla.service import CanvasServer
-
+    server = ServerOptions(host=host, port=port, token=token, sessions=sessions, backend=backend)
+    served_by = find_protocol(protocol)
+    served_by.check(len(scenes), server)
     options = rain or RainOptions()
-    opened = [(orientation or Orientation()).of(load_sorted_scene(name)) for name in scenes or ("street",)]
-    rainy: list[tuple[Any, RainSimulation]] = []
-    for scene in opened:
+    rainy: list[RainyScene] = []
+    for name in scenes or ("street",):
+        scene = (orientation or Orientation()).of(load_sorted_scene(name))
         settings, weather = options.for_scene(scene), rendered_weather(options, scene)
         load_calibration(settings.calibration)
         lit, settings = rainy_light(scene, settings, wet, (weather or NO_KEYFRAMES).heaviest_mm_h(settings))
-        rainy.append((lit, RainSimulation.start(settings, weather=weather)))
-    names = scene_ids([scene_id(scene) for scene in opened])
-
-    def open_simulator() -> Simulator:
-        simulator = Simulator(backend)
-        for name, (scene, rainfall) in zip(names, rainy, strict=True):
-            simulator.add(name, scene, rainfall)
-        return simulator
-
-    port = ALPASIM_PORT if port is None else port
-    address = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
-    kind = CanvasServer if protocol == "carla-canvas" else SensorsimServer
-    server = kind(open_simulator, address, sessions=sessions, token=token)
+        rainy.append(RainyScene(scene_id(scene), lit, RainSimulation.start(settings, weather=weather)))
+    running = served_by.start(rainy, server)
     ended = _asked_to_end()
-    logging.getLogger("gsrain").setLevel(logging.INFO)
-    numbers = {"scenes": names, "host": host, "port": server.port, "protocol": protocol}
-    write_numbers(json, numbers)  # for programs that wait for the port
-    print(f"{', '.join(names)}: served at {host}:{server.port} ({protocol}); Ctrl-C ends", flush=True)
-    while not ended.wait(1.0) and not program_is_gone():  # without a timeout, Ctrl-C would not end it on Windows
+    write_numbers(json, {**running.numbers, "protocol": protocol})  # for programs that wait for the port
+    print(f"{', '.join(running.numbers['scenes'])}: {running.greeting} ({protocol}); Ctrl-C ends", flush=True)
+    while not ended.wait(1.0) and not running.is_ended:  # without a timeout, Ctrl-C would not end it on Windows
         pass
     print("stopping: running calls have 10 s to end")
-    server.stop()
-    print(f"{counted(server.answered, 'call')} answered, {server.refused:,} refused")
-    write_numbers(json, {**numbers, "answered": server.answered, "refused": server.refused})
-    return 0
-
-
-def _check_for_browsers(scenes: tuple[str, ...], host: str, port: int | None) -> None:
-    if len(scenes) > 1:
-        raise ValueError(f"--protocol browser shows one scene, not {len(scenes)}")
-    if host not in (LOOPBACK, "localhost"):
-        forward = f"ssh -L {port or 8080}:localhost:{port or 8080} THIS_MACHINE"
-        raise ValueError(f"--host {host}: pages for browsers are not encrypted, so that only this machine gets them; "
-                         f"from another: {forward}")  # fmt: skip
-    require_package("viser", "--protocol browser")
-
-
-def _serve_browsers(
-    scene: "Scene", options: RainOptions, wet: Any, backend: Backend, port: int | None, browsers: int,
-    token: str | None, json: JsonFile,
-) -> int:  # fmt: skip
-    from gsrain.browser import DEFAULT_PORT, BrowserViewer
-
-    from .render import rainy_light, rendered_weather
-
-    if rendered_weather(options, scene) is not None:
-        print(f"{scene.name}: its rain keyframes are left out, as browsers set the rain", file=sys.stderr)
-    settings = options.for_scene(scene)
-    lit, settings = rainy_light(scene, settings, wet, settings.intensity_mm_h)
-    ended = _asked_to_end()
-    with BrowserViewer(
-        lit, settings, backend=backend, port=DEFAULT_PORT if port is None else port, browsers=browsers, token=token
-    ) as page:
-        print(f"{scene.name}: open {page.url} in a browser on this machine; Ctrl-C ends")
-        while not ended.wait(1.0) and not page.wait(0):
-            pass
-        pictures = page.pictures
-    print(f"{counted(pictures, 'picture')} sent")
-    write_numbers(json, {"scenes": [scene.name], "pictures": pictures})
+    print(running.stop())
+    write_numbers(json, {**running.numbers, "protocol": protocol})
     return 0
 
 
@@ -174,18 +111,3 @@ def _asked_to_end() -> threading.Event:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda number, frame: ended.set())
     return ended
-
-
-def _is_loopback(host: str) -> bool:
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
-
-
-def program_is_gone() -> bool:
-    """Return whether the program of CARLA that started this server, as its configuration said, has ended."""
-    import psutil
-
-    number = os.environ.get(CANVAS_PROGRAM, "")
-    return number.isdigit() and not psutil.pid_exists(int(number))

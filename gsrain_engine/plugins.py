@@ -28,9 +28,10 @@ DECODERS = EntryPointGroup("gsrain.decoders", "decoder")
 DISDROMETERS = EntryPointGroup("gsrain.disdrometers", "disdrometer format")
 EVALUATIONS = EntryPointGroup("gsrain.evaluations", "evaluation")
 PANELS = EntryPointGroup("gsrain.panels", "panel")
+PROTOCOLS = EntryPointGroup("gsrain.protocols", "protocol")
 SCENE_FORMATS = EntryPointGroup("gsrain.scene_formats", "scene format")
 TRANSFERS = EntryPointGroup("gsrain.transfers", "transfer")
-GROUPS = (AGENTS, CAPTURE_FORMATS, DECODERS, DISDROMETERS, EVALUATIONS, PANELS, SCENE_FORMATS, TRANSFERS)
+GROUPS = (AGENTS, CAPTURE_FORMATS, DECODERS, DISDROMETERS, EVALUATIONS, PANELS, PROTOCOLS, SCENE_FORMATS, TRANSFERS)
 """All groups; docs/extending.md has an example of each."""
 
 

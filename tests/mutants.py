@@ -32,7 +32,8 @@ from typing import Any, NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
 COPIED = (
-    "app", "ui", "gsrain", "gsrain_engine", "shaders", "sample_configs", "tests", "docs", "examples", "benchmarks",
+    "app", "ui", "gsrain", "gsrain_engine", "gsrain_extras", "shaders", "sample_configs", "tests", "docs", "examples",
+    "benchmarks",
 )  # fmt: skip
 TESTS = {"app": "tests/app", "ui": "tests/ui", "gsrain": "tests/python_api", "gsrain_engine": "tests"}
 """Packages, and the folders of their tests; those of the engine have one for each folder of it."""

@@ -2,6 +2,8 @@
 
 import re
 import tomllib
+from io import BytesIO
+from urllib.request import urlopen
 
 import numpy as np
 import pytest
@@ -15,10 +17,13 @@ from gsrain_engine.appearance.registry import usable_methods
 from gsrain_engine.datasets.open_capture import capture_format, open_capture
 from gsrain_engine.disdrometer.open import read_disdrometer
 from gsrain_engine.plugins import GROUPS
+from gsrain_engine.rain.settings import RainSettings
+from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from gsrain_engine.simulation.agents.base import Agent
 from gsrain_engine.simulation.agents.registry import open_agent
 from gsrain_engine.simulation.scenario import Scenario
+from gsrain_engine.simulation.serving.protocols import RainyScene, ServerOptions, find_protocol
 from gsrain_engine.simulation.simulation import Simulation, run_drive
 from repository import REPOSITORY
 from small_scene import small_scene
@@ -164,7 +169,20 @@ def test_evaluations_are_commands(rain_lab, scene, capsys):
     refused(capsys, "evaluate", "contrast", "--wetness", "1")
 
 
+def test_protocols_serve_scenes(rain_lab, scene, tmp_path, capsys):
+    refused(capsys, "serve", scene, "--protocol", "snapshots", "--host", "0.0.0.0", "--token", "a-token")
+    protocol = find_protocol("snapshots")
+    rainy = RainyScene("town", read_scene(scene), RainSimulation.start(RainSettings(intensity_mm_h=8.5)))
+    running = protocol.start([rainy], ServerOptions(backend="cpu"))
+    with urlopen(f"http://127.0.0.1:{running.numbers['port']}/town.png", timeout=60) as answer:
+        picture = Image.open(BytesIO(answer.read()))
+    assert picture.size == (480, 320) and np.asarray(picture).std() > 1
+    assert str(running.numbers["port"]) in running.greeting
+    assert running.stop() == "1 pictures were there"
+    assert "there is " in refused(capsys, "serve", scene, "--protocol", "snapshot")
+
+
 def test_doctor_lists_all_of_them(rain_lab):
-    found = {each.name: describe(each) for each in installed_extensions()}
+    found = {each.name: describe(each) for each in installed_extensions() if each.package == "rain-lab"}
     places = {name: place for group in ENTRIES.values() for name, place in group.items()}
     assert found == {name: f"{place} of rain-lab 0.1.0" for name, place in places.items()}

@@ -19,11 +19,11 @@ import psutil
 import gsrain as gr
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import RainSimulation
-from gsrain_engine.simulation.alpasim.messages import SERVICE, calls, message
-from gsrain_engine.simulation.alpasim.server import RenderServer
-from gsrain_engine.simulation.alpasim.service import SensorsimServer
-from gsrain_engine.simulation.alpasim.simulator import Simulator
-from gsrain_engine.simulation.carla import service as carla_service
+from gsrain_engine.simulation.serving.grpc_server import RenderServer
+from gsrain_extras.alpasim.messages import SERVICE, calls, message
+from gsrain_extras.alpasim.service import SensorsimServer
+from gsrain_extras.alpasim.simulator import Simulator
+from gsrain_extras.carla import service as carla_service
 from small_scene import small_scene
 
 from .mutations import _FLOATS, _INTEGERS, _WORDS, damaged_bytes
@@ -87,6 +87,9 @@ def _open_grpc(kind: type[RenderServer]) -> Iterator[str]:
 class _Calls(Attack):
     """Calls with damaged messages, whose fields are hostile numbers and words, or whose bytes are anything."""
 
+    hanging_method: str
+    """Of calls that are begun and left so."""
+
     def __init__(self, address: str) -> None:
         self._address = address
         self._channel = self.connected()
@@ -147,9 +150,7 @@ class _Calls(Attack):
         plug = socket.create_connection((host, int(port)), _PATIENCE_S)
         plug.setblocking(False)
         with suppress(OSError):
-            plug.send(
-                half_sent_call(chance.choice((SERVICE + "/render_rgb", carla_service.SERVICE + "/Render")), TOKEN)
-            )
+            plug.send(half_sent_call(self.hanging_method, TOKEN))
             if chance.random() < 0.5:
                 plug.send(damaged_bytes(bytes(9) * 20, chance))
         self._hanging.append(plug)
@@ -167,6 +168,8 @@ class _Calls(Attack):
 
 
 class _AlpaSim(_Calls):
+    hanging_method = f"{SERVICE}/render_rgb"
+
     def __init__(self, address: str) -> None:
         super().__init__(address)
         camera = message("AvailableCamerasRequest")(scene_id="dry")
@@ -208,6 +211,8 @@ class _AlpaSim(_Calls):
 
 
 class _Carla(_Calls):
+    hanging_method = f"{carla_service.SERVICE}/Render"
+
     def __init__(self, address: str) -> None:
         from carla_canvas.v1 import renderer_pb2
 

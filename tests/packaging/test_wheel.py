@@ -9,7 +9,7 @@ import pytest
 from gsrain_engine.presets import shipped_config_names, shipped_path
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-PACKAGES = ("app", "ui", "gsrain", "gsrain_engine")
+PACKAGES = ("app", "ui", "gsrain", "gsrain_engine", "gsrain_extras")
 SHIPPED = ("shaders", "sample_configs")
 """Data, which a wheel has inside of the engine."""
 

@@ -2,14 +2,16 @@
 
 from typing import Any
 
+from gsrain_engine.simulation.serving.grpc_server import Method, RenderServer
+from gsrain_engine.simulation.serving.scenes import RequestError
+
 from .messages import API_VERSION, SERVICE, calls, message
-from .server import Method, RenderServer
-from .simulator import RequestError
+from .simulator import Simulator
 
 _MAX_BATCH = 64  # pictures or lidar turns of one call
 
 
-class SensorsimServer(RenderServer):
+class SensorsimServer(RenderServer[Simulator]):
     """A running server of AlpaSim's `SensorsimService`."""
 
     def services(self) -> dict[str, dict[str, tuple[Any, Method]]]:
@@ -22,7 +24,7 @@ class SensorsimServer(RenderServer):
         return f"{len(rows)} of {super().subject(rows[0])}" if rows else super().subject(request)
 
     def _methods(self) -> dict[str, Method]:
-        simulator = self.simulator
+        simulator = self.scenes
 
         def rgb(request: Any, context: Any) -> Any:
             data = self.draw(lambda is_active: simulator.picture(request, is_active), context)

@@ -15,15 +15,15 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 from msgspec import structs
 
-from ...evaluation.lidar.scan import scan_in_rain, scan_scene
-from ...evaluation.lidar.sensor import SENSORS
-from ...render.draw import draw
-from ...render.frame_input import FrameInput, Quality
-from ...render.view import RenderView, leveled_frame
-from ...scene.camera import Camera
-from ...scene.scene import Actor, PoseTrack, RigCamera, Scene
-from ...water.spray import spray_of
-from ..alpasim.simulator import Moment, Pose, ServedScene, Simulator, track_through
+from gsrain_engine.evaluation.lidar.scan import scan_in_rain, scan_scene
+from gsrain_engine.evaluation.lidar.sensor import SENSORS
+from gsrain_engine.render.draw import draw
+from gsrain_engine.render.frame_input import FrameInput, Quality
+from gsrain_engine.render.view import RenderView, leveled_frame
+from gsrain_engine.scene.camera import Camera
+from gsrain_engine.scene.scene import Actor, PoseTrack, RigCamera, Scene
+from gsrain_engine.simulation.serving.scenes import Moment, Pose, ServedScene, ServedScenes, track_through
+from gsrain_engine.water.spray import spray_of
 
 logger = logging.getLogger("gsrain")
 FRAME = "right_handed"
@@ -55,10 +55,10 @@ class CanvasRenderer:
     camera_outputs = frozenset({"rgb", "depth"})
     coordinate_frame = FRAME
 
-    def __init__(self, simulator: Simulator, version: str) -> None:
+    def __init__(self, scenes: ServedScenes, version: str) -> None:
         self.options: dict[str, Any] = {}
         self.version = version
-        self._simulator = simulator
+        self._scenes = scenes
         self._served: ServedScene | None = None
         self._to_scene = np.eye(4)
         self._actors: list[tuple[str, str]] = []
@@ -76,7 +76,7 @@ class CanvasRenderer:
 
         Raises `ValueError` for anything wrong in `assets` and for a map without a scene.
         """
-        scenes, name = self._simulator.scenes, str(world.map_basename)
+        scenes, name = self._scenes.scenes, str(world.map_basename)
         assets = _mapping("renderer.assets", world.config.get("assets") or {}, ("maps", "actors"))
         chosen: dict[str, Any] = {}
         for pattern, row in _mapping("renderer.assets.maps", assets.get("maps") or {}).items():
@@ -123,13 +123,13 @@ class CanvasRenderer:
     def _colors(
         self, served: ServedScene, scene: Scene, camera: Camera, moment: Moment, mounted: RigCamera
     ) -> UInt8[np.ndarray, "h w 3"]:
-        return self._simulator.view(served, scene, camera, moment.end, np.eye(3), moment.end_s, moment, mounted)
+        return self._scenes.view(served, scene, camera, moment.end, np.eye(3), moment.end_s, moment, mounted)
 
     def _depth(self, served: ServedScene, scene: Scene, camera: Camera, moment: Moment) -> Float32[np.ndarray, "h w"]:
         camera = replace(camera, world_to_camera=np.linalg.inv(moment.end))
         quality = Quality(with_depth=True, thinning=served.cut)
         frame = FrameInput.of(scene, None, served.sky, RenderView(camera, moment.end_s), quality)
-        depth = draw(self._simulator.renderer, frame).frame().depth
+        depth = draw(self._scenes.renderer, frame).frame().depth
         assert depth is not None
         return np.where(depth > 0, depth, np.inf).astype(np.float32)
 

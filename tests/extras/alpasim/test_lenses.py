@@ -7,8 +7,8 @@ import pytest
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.lens_faces import assemble, lens_faces
 from gsrain_engine.scene.scene import RigCamera
-from gsrain_engine.simulation.alpasim.lenses import LensError, camera_of, write_lens
-from gsrain_engine.simulation.alpasim.messages import message
+from gsrain_extras.alpasim.lenses import LensError, camera_of, write_lens
+from gsrain_extras.alpasim.messages import message
 
 WIDTH, HEIGHT = 160, 120
 MATRIX = np.array([[90.0, 0, 78], [0, 92, 61], [0, 0, 1]])

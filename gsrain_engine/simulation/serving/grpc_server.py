@@ -10,14 +10,15 @@ from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from concurrent.futures import TimeoutError as NotDoneError
 from contextlib import contextmanager
+from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 from ...malloc_tuning import trim_memory
 from ...optional_packages import import_package
 from ...safe_io.limits import checked_token, is_same_token
-from .messages import HEALTH_SERVICE, calls, decode_error
-from .simulator import RequestError, Simulator
+from .health import HEALTH_SERVICE, health_messages
+from .scenes import RequestError, ServedScenes
 
 logger = logging.getLogger("gsrain")
 MAX_ANSWER_BYTES = 64 * 2**20
@@ -37,17 +38,18 @@ _REFUSING = 2  # threads beyond one for each running call, to refuse others at o
 _LARGEST_QUEUE = 1000  # calls that may wait to be refused
 
 
+_Scenes = TypeVar("_Scenes", bound=ServedScenes)
 Method = Callable[[Any, Any], Any]
 """Answer of a call from its request and gRPC's context. Raises `RequestError`."""
 
 
-class RenderServer:
+class RenderServer(Generic[_Scenes]):
     """A running server. Pictures are drawn one after another, by a thread of their own."""
 
     largest_answer_bytes, largest_request_bytes = MAX_ANSWER_BYTES, MAX_REQUEST_BYTES
 
     def __init__(
-        self, open_simulator: Callable[[], Simulator], address: str, *, sessions: int = 8, token: str | None = None
+        self, open_scenes: Callable[[], _Scenes], address: str, *, sessions: int = 8, token: str | None = None
     ) -> None:
         """Open scenes and renderer, and listen at an address ("127.0.0.1:0": any free port).
 
@@ -55,7 +57,7 @@ class RenderServer:
         metadata `authorization: Bearer TOKEN`; those without are refused before their message is received. Raises
         `OSError` if the address can't be used, `ValueError` for a token that metadata can't hold.
         """
-        grpc: Any = import_package("grpc", "a server of AlpaSim or CARLA")
+        grpc: Any = import_package("grpc", "a server of gRPC")
         self._grpc, self._token, self.sessions = grpc, None if token is None else checked_token(token), sessions
         self.version = own_version()
         self.answered = self.refused = self.running = 0
@@ -65,7 +67,7 @@ class RenderServer:
         self._cut_off_s = math.inf  # on the clock, from when running calls are ended
         _check_address(address)
         self._drawing = ThreadPoolExecutor(1, "drawing")
-        self.simulator = self._drawing.submit(open_simulator).result()
+        self.scenes = self._drawing.submit(open_scenes).result()
         options = [
             ("grpc.max_receive_message_length", self.largest_request_bytes),
             ("grpc.max_send_message_length", self.largest_answer_bytes),
@@ -77,12 +79,12 @@ class RenderServer:
             maximum_concurrent_rpcs=sessions + _LARGEST_QUEUE,
         )
         offered = self.services()
-        check = calls(HEALTH_SERVICE)["Check"]
+        asked, answered = health_messages()
 
         def health(request: Any, context: Any) -> Any:
-            return check.answer(status=1 if request.service in ("", *offered) else 3)  # SERVING, SERVICE_UNKNOWN
+            return answered(status=1 if request.service in ("", *offered) else 3)  # SERVING, SERVICE_UNKNOWN
 
-        for service, methods in {**offered, HEALTH_SERVICE: {"Check": (check.request, health)}}.items():
+        for service, methods in {**offered, HEALTH_SERVICE: {"Check": (asked, health)}}.items():
             handlers = {
                 name: grpc.stream_unary_rpc_method_handler(self._handler(name, kind, method))
                 for name, (kind, method) in methods.items()
@@ -118,7 +120,7 @@ class RenderServer:
         self._close()
 
     def _close(self) -> None:
-        self._drawing.submit(self.simulator.close).result()
+        self._drawing.submit(self.scenes.close).result()
         self._drawing.shutdown()
 
     def _handler(self, name: str, kind: Any, method: Method) -> Callable[[Iterator[bytes], Any], bytes]:
@@ -139,7 +141,7 @@ class RenderServer:
                 has_place = self._take_place()
                 try:
                     request = kind.FromString(data)
-                except decode_error():
+                except import_module("google.protobuf.message").DecodeError:
                     raise RequestError("INVALID_ARGUMENT", f"not a message {kind.DESCRIPTOR.full_name}") from None
                 label = f"{name} {self.subject(request)}".strip()
                 found = method(request, context).SerializeToString()

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
-from ...scene.camera import Camera
-from ...scene.lens import Lens
-from ...scene.scene import RigCamera
+from gsrain_engine.scene.camera import Camera
+from gsrain_engine.scene.lens import Lens
+from gsrain_engine.scene.scene import RigCamera
 
 MAX_SIDE_PX = 4096
 MAX_PIXELS = 2**23

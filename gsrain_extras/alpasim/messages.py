@@ -1,4 +1,4 @@
-"""Messages and calls of AlpaSim's sensor simulator, and of gRPC's health check, from their descriptions.
+"""Messages and calls of AlpaSim's sensor simulator, from their description.
 
 The classes are built when the module is loaded: code that protoc generates fits only some versions of protobuf.
 """
@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 SERVICE = "nre.grpc.protos.sensorsim.SensorsimService"
-HEALTH_SERVICE = "grpc.health.v1.Health"
 API_VERSION = (0, 54, 0)
 """Version of AlpaSim's messages that the description is of."""
 
@@ -30,23 +29,7 @@ def _pool() -> Any:
     pool = import_module("google.protobuf.descriptor_pool").DescriptorPool()
     for file in descriptor.FileDescriptorSet.FromString(_DESCRIPTORS.read_bytes()).file:
         pool.Add(file)
-    pool.Add(_health(descriptor))
     return pool
-
-
-def _health(descriptor: Any) -> Any:
-    """Description of gRPC's health check (grpc/health/v1/health.proto), without streams."""
-    file = descriptor.FileDescriptorProto(name="health.proto", package="grpc.health.v1", syntax="proto3")
-    file.message_type.add(name="HealthCheckRequest").field.add(name="service", number=1, label=1, type=9)
-    answer = file.message_type.add(name="HealthCheckResponse")
-    statuses = answer.enum_type.add(name="ServingStatus")
-    for number, name in enumerate(("UNKNOWN", "SERVING", "NOT_SERVING", "SERVICE_UNKNOWN")):
-        statuses.value.add(name=name, number=number)
-    kind = ".grpc.health.v1.HealthCheckResponse.ServingStatus"
-    answer.field.add(name="status", number=1, label=1, type=14, type_name=kind)
-    check = file.service.add(name="Health").method.add(name="Check")
-    check.input_type, check.output_type = ".grpc.health.v1.HealthCheckRequest", ".grpc.health.v1.HealthCheckResponse"
-    return file
 
 
 @cache
@@ -72,8 +55,3 @@ def enum_name(enum: str, number: int) -> str:
     """Name of a number of an enumeration, such as "ShutterType"; the number itself if it has none."""
     found = _pool().FindEnumTypeByName(f"nre.grpc.protos.sensorsim.{enum}").values_by_number.get(number)
     return str(number) if found is None else found.name
-
-
-def decode_error() -> type[Exception]:
-    """Exception of bytes that are no message."""
-    return import_module("google.protobuf.message").DecodeError

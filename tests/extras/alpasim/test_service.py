@@ -18,28 +18,20 @@ import pytest
 from PIL import Image
 
 import gsrain as gr
+from grpc_clients import scene_with_car, status_of, wait_for
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.scene.formats.nurec import nurec_files
 from gsrain_engine.scene.formats.scene_files import write_scene
-from gsrain_engine.scene.scene import Actor, PoseTrack, Scene
-from gsrain_engine.simulation.alpasim import messages
-from gsrain_engine.simulation.alpasim.messages import HEALTH_SERVICE, SERVICE, calls, message
-from gsrain_engine.simulation.alpasim.server import MAX_REQUEST_BYTES, RECEIVED_AT_ONCE
-from gsrain_engine.simulation.alpasim.service import SensorsimServer
-from gsrain_engine.simulation.alpasim.simulator import Simulator
-from small_scene import patch, small_scene
+from gsrain_engine.scene.scene import Scene
+from gsrain_engine.simulation.serving.grpc_server import MAX_REQUEST_BYTES, RECEIVED_AT_ONCE
+from gsrain_engine.simulation.serving.health import HEALTH_SERVICE, health_messages
+from gsrain_extras.alpasim import messages
+from gsrain_extras.alpasim.messages import SERVICE, calls, message
+from gsrain_extras.alpasim.service import SensorsimServer
+from gsrain_extras.alpasim.simulator import Simulator
 
 SIZE = 96, 64
-
-
-def scene_with_car() -> Scene:
-    """The small scene without its road, whose Gaussians are large, and a red car 12 m ahead, 2 m wide and high."""
-    scene = replace(small_scene(), layers=small_scene().layers[1:])
-    car = patch((0, -1, 0), np.array([0.0, 2, 0]), np.array([0, 0, 2.0]), 12, (0.9, 0.05, 0.05))
-    pose = np.eye(4)
-    pose[:3, 3] = 12, 0, 0
-    return replace(scene, actors=(Actor("car-7", "car", (4.0, 2.0, 2.0), car, PoseTrack.standing(pose)),))
 
 
 @pytest.fixture(scope="module")
@@ -139,8 +131,9 @@ def test_scenes_cameras_and_drives_are_listed(client: Client, scene: Scene) -> N
     (drive,) = json.loads(nurec_files(scene)["rig_trajectories.json"])["rig_trajectories"]
     assert drive["rig_bbox"]["dim"] == [4.6, 1.85, 1.5]  # without a box AlpaSim rejects the scene
     assert drive["cameras_frame_timestamps_us"]["FRONT@gsrain"][0][0] == 1_000_000  # after a shutter could open
-    health = client.call("Check", service=HEALTH_SERVICE)
-    assert health.status == 1
+    asked, answered = health_messages()
+    check = client.raw("Check", asked().SerializeToString(), HEALTH_SERVICE)
+    assert answered.FromString(check).status == 1
 
 
 def test_descriptions_are_those_of_the_protos(tmp_path: Path) -> None:
@@ -285,15 +278,6 @@ def test_killed_clients_leave_nothing(server: SensorsimServer, client: Client, t
     client.picture(request_of(client))  # the next one is served
 
 
-def wait_for(is_true: Any) -> None:
-    """Wait until the server's threads have seen that a client is gone: they look ten times a second."""
-    for _ in range(300):
-        if is_true():
-            return
-        Event().wait(0.05)
-    raise AssertionError("still not")
-
-
 def test_more_calls_than_sessions_are_turned_away(scene: Scene) -> None:
     def opened() -> Simulator:
         simulator = Simulator("cpu")
@@ -329,14 +313,6 @@ def test_more_calls_than_sessions_are_turned_away(scene: Scene) -> None:
 
 
 # Hostile messages
-
-
-def status_of(call: Any) -> str:
-    with pytest.raises(grpc.RpcError) as error:
-        call()
-    details = error.value.details() or ""
-    assert "Traceback" not in details and "\n" not in details and len(details) < 300
-    return error.value.code().name
 
 
 def _broken(name: str, **fields: Any) -> Any:
@@ -414,9 +390,9 @@ def test_messages_that_never_end_give_way(
 ) -> None:
     assert status_of(lambda: client.raw("render_rgb", bytes(MAX_REQUEST_BYTES + 1))) == "RESOURCE_EXHAUSTED"
     trimmed = Event()
-    monkeypatch.setattr("gsrain_engine.simulation.alpasim.server.trim_memory", trimmed.set)
-    monkeypatch.setattr("gsrain_engine.simulation.alpasim.server._FREED_S", 0.0)
-    monkeypatch.setattr("gsrain_engine.simulation.alpasim.server._GIVES_WAY_S", 0.0)
+    monkeypatch.setattr("gsrain_engine.simulation.serving.grpc_server.trim_memory", trimmed.set)
+    monkeypatch.setattr("gsrain_engine.simulation.serving.grpc_server._FREED_S", 0.0)
+    monkeypatch.setattr("gsrain_engine.simulation.serving.grpc_server._GIVES_WAY_S", 0.0)
     unsent, streams = Event(), client.channel.stream_unary(f"/{SERVICE}/render_rgb")
     silent = [streams.future(iter(unsent.wait, True), timeout=60) for _ in range(2 * RECEIVED_AT_ONCE)]
     for _ in range(3):  # these are received all the same, in place of the silent calls
@@ -424,7 +400,7 @@ def test_messages_that_never_end_give_way(
     wait_for(lambda: sum(each.done() for each in silent) >= RECEIVED_AT_ONCE)
     assert {each.code().name for each in silent if each.done()} == {"CANCELLED"}
     assert trimmed.wait(60)  # what they held is returned to the system
-    monkeypatch.setattr("gsrain_engine.simulation.alpasim.server.RECEIVE_S", 0.0)
+    monkeypatch.setattr("gsrain_engine.simulation.serving.grpc_server.RECEIVE_S", 0.0)
     late = client.channel.stream_unary(f"/{SERVICE}/render_rgb").future(iter(unsent.wait, True), timeout=60)
     assert late.exception().code().name == "CANCELLED"
     unsent.set()

@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 
 import gsrain as gr
-from app.serve import CANVAS_PROGRAM, program_is_gone
+from grpc_clients import scene_with_car, status_of, wait_for
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.scene import Scene
-from gsrain_engine.simulation.alpasim.simulator import Simulator
-from gsrain_engine.simulation.carla import service as carla_service
-from gsrain_engine.simulation.carla.service import CanvasServer
-from simulation.alpasim.test_service import scene_with_car, status_of, wait_for
+from gsrain_engine.simulation.serving.scenes import ServedScenes
+from gsrain_extras.carla import service as carla_service
+from gsrain_extras.carla.protocol import CANVAS_PROGRAM, program_is_gone
+from gsrain_extras.carla.service import CanvasServer
 
 encodings: Any = pytest.importorskip("carla_canvas.encodings")
 pb: Any = pytest.importorskip("carla_canvas.v1.renderer_pb2")
@@ -36,8 +36,8 @@ def scene() -> Scene:
 
 @pytest.fixture(scope="module")
 def server(scene: Scene) -> Iterator[CanvasServer]:
-    def opened() -> Simulator:
-        simulator = Simulator("cpu")
+    def opened() -> ServedScenes:
+        simulator = ServedScenes("cpu")
         simulator.add("dry", scene, RainSimulation.start(RainSettings(intensity_mm_h=0.0)))
         simulator.add("rainy", scene, RainSimulation.start(RainSettings(intensity_mm_h=50.0, seed=3)))
         return simulator
@@ -281,8 +281,8 @@ def many_parents(program: Program) -> Any:
 
 
 def test_a_world_stays_with_a_program_that_is_connected(scene: Scene) -> None:
-    def opened() -> Simulator:
-        simulator = Simulator("cpu")
+    def opened() -> ServedScenes:
+        simulator = ServedScenes("cpu")
         simulator.add("dry", scene, RainSimulation.start(RainSettings(intensity_mm_h=0.0)))
         return simulator
 

@@ -9,8 +9,9 @@ from urllib.parse import unquote
 
 import psutil
 
-from ..alpasim.server import Method, RenderServer
-from ..alpasim.simulator import RequestError
+from gsrain_engine.simulation.serving.grpc_server import Method, RenderServer
+from gsrain_engine.simulation.serving.scenes import RequestError, ServedScenes
+
 from .renderer import STEEPEST_DEG, CanvasRenderer
 
 SERVICE = "carla_canvas.v1.Renderer"
@@ -49,7 +50,7 @@ class _Context(NamedTuple):
         raise RequestError(code.name, " ".join(str(details).split())[:250])
 
 
-class CanvasServer(RenderServer):
+class CanvasServer(RenderServer[ServedScenes]):
     """A running server of carla-canvas' `Renderer`. Raises what `import carla_canvas` does if it is missing."""
 
     largest_answer_bytes = 512 * 2**20
@@ -104,7 +105,7 @@ class CanvasServer(RenderServer):
         with self._adding:
             world = self.worlds.get(client)
             if world is None:
-                renderer: Any = CanvasRenderer(self.simulator, self.version)
+                renderer: Any = CanvasRenderer(self.scenes, self.version)
                 world = import_module("carla_canvas.server.service").RendererService(renderer)
                 if is_new:
                     self._make_room()

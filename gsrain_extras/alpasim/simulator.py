@@ -5,46 +5,35 @@ other clients. The poses of actors are those of the request; one that it does no
 """
 
 import io
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float64, UInt8
+from jaxtyping import UInt8
 from msgspec import structs
 from PIL import Image
 
-from ...backends import open_renderer
-from ...choices import Backend
-from ...evaluation.lidar.scan import scan_in_rain, scan_scene
-from ...evaluation.lidar.sensor import SENSORS, LidarSensor
-from ...rain.simulation import RainSimulation
-from ...render.draw import draw
-from ...render.frame_input import FrameInput, Mount, Quality
-from ...render.level_of_detail import LodCut, lod_cut
-from ...render.renderer import Renderer
-from ...render.sky_color import SkyColor, sky_color
-from ...render.view import RenderView, ego_view, leveled_frame
-from ...scene.camera import DEFAULT_EXPOSURE_S, Camera
-from ...scene.formats.nurec import logical_cameras, sensor_height_m, start_s, timestamps_us
-from ...scene.geometry import matrices_from_quaternions, quaternions_from_matrices
-from ...scene.lens_faces import LensFace, assemble, lens_faces
-from ...scene.rolling_shutter import ReadoutDirection, RollingShutter
-from ...scene.scene import Actor, PoseTrack, RigCamera, Scene
-from ...water.glass import CameraMotion
-from ...water.spray import spray_of
+from gsrain_engine.evaluation.lidar.scan import scan_in_rain, scan_scene
+from gsrain_engine.evaluation.lidar.sensor import SENSORS, LidarSensor
+from gsrain_engine.render.view import leveled_frame
+from gsrain_engine.scene.camera import Camera
+from gsrain_engine.scene.formats.nurec import sensor_height_m, start_s, timestamps_us
+from gsrain_engine.scene.geometry import matrices_from_quaternions, quaternions_from_matrices
+from gsrain_engine.scene.lens_faces import LensFace, assemble, lens_faces
+from gsrain_engine.scene.rolling_shutter import ReadoutDirection, RollingShutter
+from gsrain_engine.scene.scene import Actor, PoseTrack, RigCamera, Scene
+from gsrain_engine.simulation.serving.scenes import Moment, Pose, RequestError, ServedScene, ServedScenes, track_through
+from gsrain_engine.water.spray import spray_of
+
 from .lenses import LensError, camera_of, write_lens
 from .messages import enum_name, message
 
-Pose = Float64[np.ndarray, "4 4"]
-
 _MAX_TIME_US = 10**12
 _FARTHEST_M = 1e6
-_FASTEST_M_S = 100.0
 _UNIT = 0.1  # that the length of a quaternion may differ from 1, as those that clients interpolate do
-_PAST_S = 5.0  # for which moving objects go on backward with the speed of their two poses, for the spray behind them
 _LARGEST_BANDS = 32  # of a picture with a rolling shutter, each from poses of its own
 _BAND_SHIFT_PX = 1.5  # that points at the near distance move from band to band
 _NEAR_M = 6.0
@@ -62,79 +51,8 @@ LIDARS: dict[str, LidarSensor] = {
 """AlpaSim's lidars by the classes of sensors here: beams, range and field of view are the makers'."""
 
 
-class RequestError(Exception):
-    """A request that can't be answered: the name of gRPC's status, and one sentence that names the field."""
-
-    def __init__(self, status: str, text: str) -> None:
-        super().__init__(text)
-        self.status = status
-        self.text = text
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ServedScene:
-    """A scene with its rain, which requests name by its id."""
-
-    id: str
-    scene: Scene
-    rainfall: RainSimulation
-    sky: SkyColor
-    cut: LodCut | None
-
-    @property
-    def cameras(self) -> dict[str, RigCamera]:
-        """Cameras of its rigs by the names that AlpaSim uses."""
-        return logical_cameras(self.scene)
-
-
-class Moment(NamedTuple):
-    """Start and end of a frame, and the poses of its sensor at its start and end."""
-
-    start_s: float
-    end_s: float
-    start: Pose
-    end: Pose
-
-    def at(self, part: float) -> tuple[float, Pose]:
-        """Time and pose of the sensor at a part, 0..1, of the frame."""
-        time_s = self.start_s + part * (self.end_s - self.start_s)
-        pose = track_through(self, self.start, self.end, has_past=False).pose(time_s)
-        return time_s, self.start if pose is None else pose
-
-    @property
-    def velocity_m_s(self) -> Float64[np.ndarray, "3"]:
-        return _velocity(self, self.start, self.end)
-
-
-class Simulator:
-    """Scenes and the renderer that draws them. Use it from one thread."""
-
-    def __init__(self, backend: Backend) -> None:
-        """Open the renderer; raises what `open_renderer` does. Call `close` in the end."""
-        self._opened = open_renderer(backend)
-        self.renderer: Renderer = self._opened.__enter__()
-        self.scenes: dict[str, ServedScene] = {}
-
-    def add(self, name: str, scene: Scene, rainfall: RainSimulation) -> None:
-        """Add a scene; its sky is measured at the start of its drive, so that all pictures agree on it."""
-        cut = lod_cut(scene, None)
-        pose = scene.ego_to_world(float(scene.ego.times[0])) if scene.ego is not None and len(scene.ego.times) else None
-        place = np.eye(4) if pose is None else pose
-        world_to_camera = np.linalg.inv(place @ _FORWARD)
-        sky = sky_color(self.renderer, scene, Camera.from_fov(64, 48, 45.0, world_to_camera), thinning=cut)
-        self.scenes[name] = ServedScene(name, scene, rainfall, sky, cut)
-
-    def close(self) -> None:
-        self._opened.__exit__(None, None, None)
-
-    def served(self, scene_id: str) -> ServedScene:
-        """Scene of an id; "*" is the only one. Raises `RequestError` if there is none."""
-        if scene_id == "*" and len(self.scenes) == 1:
-            return next(iter(self.scenes.values()))
-        if scene_id not in self.scenes:
-            known = ", ".join(self.scenes)
-            raise RequestError("NOT_FOUND", f"scene_id: there is no scene {scene_id[:80]!r}, only {known}")
-        return self.scenes[scene_id]
+class Simulator(ServedScenes):
+    """Scenes that answer AlpaSim's requests."""
 
     def picture(self, request: Any, is_active: Callable[[], bool] = _ALIVE) -> bytes:
         """Encoded picture of an `RGBRenderRequest`. Raises `RequestError`, also when the client is gone."""
@@ -201,29 +119,6 @@ class Simulator:
             picture[part] = assemble(cut, views)[part] if cut else views[0]
         return picture
 
-    def view(
-        self, served: ServedScene, scene: Scene, camera: Camera, pose: Pose, turn: Float64[np.ndarray, "3 3"],
-        time_s: float, moment: Moment, mounted: RigCamera | None,
-    ) -> UInt8[np.ndarray, "a b 3"]:  # fmt: skip
-        """One picture, as the camera stores it, of a `scene` whose actors are in their places.
-
-        `turn` is the rotation of the camera from its pose; `mounted` is the camera on the vehicle, if there is one.
-        """
-        facing = pose.copy()
-        facing[:3, :3] = pose[:3, :3] @ turn
-        exposure_s = DEFAULT_EXPOSURE_S if mounted is None else mounted.exposure_s
-        camera = replace(camera, world_to_camera=np.linalg.inv(facing), exposure_s=exposure_s)
-        velocity = moment.velocity_m_s
-        view = RenderView(camera, time_s, velocity) if scene.ego is None else ego_view(scene, camera, time_s)
-        own = None if mounted is None else mounted.camera_to_ego[:3, :3] @ turn
-
-        def past(then_s: float) -> CameraMotion:
-            return CameraMotion(facing[:3, :3], velocity, facing[:3, 3] + (then_s - time_s) * velocity)
-
-        mount = Mount(past=past, camera_to_vehicle=own)  # metered anew: a picture must not depend on others
-        frame = FrameInput.of(scene, served.rainfall, served.sky, view, Quality(thinning=served.cut), mount=mount)
-        return draw(self.renderer, frame).read_uint8()
-
     def lidar(self, request: Any) -> Any:
         """`LidarRenderReturn` of a `LidarRenderRequest`: all beams at the end of the turn, points in the sensor frame.
 
@@ -282,9 +177,6 @@ class Simulator:
                     _write_pose(trajectory.poses.add(timestamp_us=time_us).pose, pose @ down)
         return answer
 
-
-_FORWARD = np.array([[0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]], np.float64)
-"""Axes of a camera that looks along x of a frame with z up."""
 
 _ROLLING: dict[str, ReadoutDirection] = {
     "ROLLING_TOP_TO_BOTTOM": "down", "ROLLING_LEFT_TO_RIGHT": "right",
@@ -380,31 +272,6 @@ def _write_pose(target: Any, pose: Pose) -> None:
     target.quat.w, target.quat.x, target.quat.y, target.quat.z = w, x, y, z
 
 
-def _velocity(moment: Moment, start: Pose, end: Pose) -> Float64[np.ndarray, "3"]:
-    """Velocity between two poses of a frame; 0 for a frame without duration, or a jump."""
-    seconds = moment.end_s - moment.start_s
-    velocity = (end[:3, 3] - start[:3, 3]) / seconds if seconds > 0 else np.zeros(3)
-    return velocity if np.linalg.norm(velocity) <= _FASTEST_M_S else np.zeros(3)
-
-
-def track_through(moment: Moment, start: Pose, end: Pose, *, has_past: bool = True) -> PoseTrack:
-    """Track through the two poses of a frame, in the world; with a past, at constant velocity before and after."""
-    if moment.end_s <= moment.start_s:
-        return PoseTrack.standing(start)
-    rows = [(moment.start_s, start, start[:3, 3]), (moment.end_s, end, end[:3, 3])]
-    if has_past:
-        step = _PAST_S * _velocity(moment, start, end)
-        before = (moment.start_s - _PAST_S, start, start[:3, 3] - step)
-        rows = [before, *rows, (moment.end_s + _PAST_S, end, end[:3, 3] + step)]
-    turns = quaternions_from_matrices(np.stack([pose[:3, :3] for _, pose, _ in rows]))
-    return PoseTrack(
-        np.array([time for time, _, _ in rows]),
-        np.stack([place for _, _, place in rows]),
-        np.asarray(turns, np.float64),
-        np.ones(len(rows), np.bool_),
-    )
-
-
 def _moved_scene(served: ServedScene, request: Any, moment: Moment, mounted: RigCamera | None) -> Scene:
     """The scene with actors at the poses of a request, and the ego vehicle where the camera on it says."""
     scene = served.scene
@@ -440,14 +307,3 @@ def _encoded(picture: UInt8[np.ndarray, "h w 3"], kind: str, quality: float) -> 
     options: dict[str, Any] = {"quality": round(quality) or 95} if kind == "JPEG" else {"compress_level": 3}
     Image.fromarray(picture).save(file, kind, **options)
     return file.getvalue()
-
-
-def scene_ids(names: Sequence[str]) -> list[str]:
-    """Names of scenes made different by numbers."""
-    found: list[str] = []
-    for name in names:
-        number, unused = 2, name
-        while unused in found:
-            unused, number = f"{name}-{number}", number + 1
-        found.append(unused)
-    return found

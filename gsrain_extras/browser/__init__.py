@@ -1,0 +1,1 @@
+"""The window in browsers, as a protocol of `gsrain serve`."""
