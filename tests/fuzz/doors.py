@@ -9,6 +9,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from http.client import HTTPConnection
 from importlib import import_module
+from pathlib import Path
 from random import Random
 from typing import Any
 from urllib.parse import urlsplit
@@ -20,10 +21,7 @@ import gsrain as gr
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.simulation.serving.grpc_server import RenderServer
-from gsrain_extras.alpasim.messages import SERVICE, calls, message
-from gsrain_extras.alpasim.service import SensorsimServer
-from gsrain_extras.alpasim.simulator import Simulator
-from gsrain_extras.carla import service as carla_service
+from gsrain_engine.simulation.serving.scenes import ServedScenes
 from small_scene import small_scene
 
 from .mutations import _FLOATS, _INTEGERS, _WORDS, damaged_bytes
@@ -34,7 +32,7 @@ REFUSALS = {
 }  # fmt: skip
 """Statuses that a hostile call may end with; others, such as INTERNAL and UNAVAILABLE, are findings."""
 TOKEN = "a-token"
-_PATIENCE_S, _COMPILING_S = 5.0, 600.0
+_PATIENCE_S, COMPILING_S = 5.0, 600.0
 _CHECKED_EVERY = 100
 _HANGING = 20  # connections that a hostile client leaves open at a time
 
@@ -59,6 +57,8 @@ class Door:
     """A server and its attack; `open` yields the server's address, which may be in another process."""
 
     name: str
+    package: str
+    """Module that it needs."""
     open: Callable[[], Any]
     attack: Callable[[str], Attack]
     limit_bytes: int
@@ -68,23 +68,22 @@ class Door:
 # gRPC
 
 
-def _simulator() -> Simulator:
-    simulator = Simulator("cpu")
-    simulator.add("dry", small_scene(), RainSimulation.start(RainSettings(intensity_mm_h=0.0)))
-    simulator.add("rainy", small_scene(), RainSimulation.start(RainSettings(intensity_mm_h=20.0)))
-    return simulator
-
-
 @contextmanager
-def _open_grpc(kind: type[RenderServer]) -> Iterator[str]:
-    server = kind(_simulator, "127.0.0.1:0", sessions=8, token=TOKEN)
+def open_grpc(kind: type[RenderServer[Any]], scenes_kind: type[ServedScenes]) -> Iterator[str]:
+    def opened() -> ServedScenes:
+        scenes = scenes_kind("cpu")
+        scenes.add("dry", small_scene(), RainSimulation.start(RainSettings(intensity_mm_h=0.0)))
+        scenes.add("rainy", small_scene(), RainSimulation.start(RainSettings(intensity_mm_h=20.0)))
+        return scenes
+
+    server = kind(opened, "127.0.0.1:0", sessions=8, token=TOKEN)
     try:
         yield f"127.0.0.1:{server.port}"
     finally:
         server.stop(1)
 
 
-class _Calls(Attack):
+class GrpcAttack(Attack):
     """Calls with damaged messages, whose fields are hostile numbers and words, or whose bytes are anything."""
 
     hanging_method: str
@@ -165,131 +164,6 @@ class _Calls(Attack):
     def close(self) -> None:
         for each in (*self._hanging, self._channel, self._sound):
             each.close()
-
-
-class _AlpaSim(_Calls):
-    hanging_method = f"{SERVICE}/render_rgb"
-
-    def __init__(self, address: str) -> None:
-        super().__init__(address)
-        camera = message("AvailableCamerasRequest")(scene_id="dry")
-        status, answer = self.call(self._sound, f"{SERVICE}/get_available_cameras", camera.SerializeToString())
-        assert status == "OK"
-        (camera,) = message("AvailableCamerasReturn").FromString(answer).available_cameras
-        picture = message("RGBRenderRequest")(
-            scene_id="dry", resolution_w=24, resolution_h=16, frame_start_us=1_000_000, frame_end_us=1_040_000,
-            image_format=1,
-        )  # fmt: skip
-        picture.camera_intrinsics.CopyFrom(camera.intrinsics)
-        for pose in (picture.sensor_pose.start_pose, picture.sensor_pose.end_pose):
-            pose.vec.x, pose.vec.z = 2, 1.5
-            pose.quat.w, pose.quat.x, pose.quat.y, pose.quat.z = 0.5, -0.5, 0.5, -0.5
-        self._picture = picture
-
-    def hostile(self, chance: Random) -> tuple[str, Any]:
-        name = chance.choice((*calls(SERVICE), "render_rgb", "render_rgb", "render_rgb", "none"))
-        if name not in calls(SERVICE):
-            return f"{SERVICE}/{name}", message("RGBRenderRequest")()
-        request = calls(SERVICE)[name].request()
-        picture = message("RGBRenderRequest")()
-        picture.CopyFrom(self._picture)
-        picture.scene_id = chance.choice(("dry", "rainy"))
-        if name == "render_rgb":
-            request.CopyFrom(picture)
-        elif name == "render_lidar":
-            request.scene_id, request.lidar_config.lidar_type = "dry", 1
-            request.sensor_pose.CopyFrom(picture.sensor_pose)
-        elif name == "render_aggregated":
-            request.rgb_requests.append(picture)
-        elif name == "batch_render_rgb":
-            request.items.add(camera_name="a", request=picture)
-        return f"{SERVICE}/{name}", request
-
-    def sound(self, channel: Any) -> bytes:
-        data = self._picture.SerializeToString()
-        return self.call(channel, f"{SERVICE}/render_rgb", data, patience_s=_COMPILING_S)[1]
-
-
-class _Carla(_Calls):
-    hanging_method = f"{carla_service.SERVICE}/Render"
-
-    def __init__(self, address: str) -> None:
-        from carla_canvas.v1 import renderer_pb2
-
-        self._pb, self._frames = renderer_pb2, 0
-        super().__init__(address)
-        self._load(self._sound)
-
-    def _load(self, channel: Any) -> None:
-        for name, sent in (
-            ("LoadWorld", self._world()),
-            ("SpawnSensor", self._sensor(1)),
-            ("SpawnSensor", self._sensor(2)),
-        ):
-            status, _ = self.call(channel, f"{carla_service.SERVICE}/{name}", sent.SerializeToString())
-            assert status in ("OK", "RESOURCE_EXHAUSTED"), status
-
-    def connected(self) -> Any:
-        channel = super().connected()
-        self._load(channel)
-        return channel
-
-    def _world(self) -> Any:
-        sent = self._pb.LoadWorldRequest(map_name="Carla/Maps/dry", episode_id=7)
-        sent.renderer_config.update({"options": {"a": 1.0}, "assets": {"maps": {"*": {"scene": "dry"}}}})
-        return sent
-
-    def _sensor(self, number: int) -> Any:
-        kind = "sensor.camera.rgb" if number == 1 else "sensor.lidar.ray_cast"
-        actor = self._pb.Actor(id=number, type_id=kind)
-        given = {"image_size_x": 24, "image_size_y": 16, "fov": 60} if number == 1 else {
-            "channels": 4, "range": 60, "points_per_second": 2000, "upper_fov": 5, "lower_fov": -8,
-            "rotation_frequency": 10, "horizontal_fov": 360, "noise_stddev": 0, "noise_seed": 1,
-            "dropoff_general_rate": 0, "dropoff_intensity_limit": 0, "dropoff_zero_intensity": 0.4,
-            "atmosphere_attenuation_rate": 0.004,
-        }  # fmt: skip
-        for name, value in given.items():
-            actor.attributes.add(id=name, value=str(value))
-        return self._pb.SpawnSensorRequest(sensor=actor)
-
-    def _frame(self, frame: int) -> Any:
-        sent = self._pb.RenderRequest()
-        stamp = sent.snapshot.timestamp
-        stamp.frame, stamp.elapsed_seconds, stamp.delta_seconds = frame, 1.0, 0.05
-        for number in (1, 2):
-            row = sent.snapshot.actors.add(id=number)
-            row.transform.location.x, row.transform.location.z = 2.0, 1.5
-            sent.sensors.add(sensor_id=number, deliver=True)
-        return sent
-
-    def hostile(self, chance: Random) -> tuple[str, Any]:
-        self._frames += 1
-        name = chance.choice(
-            ("LoadWorld", "SpawnSensor", "SpawnSensor", "Render", "Render", "GetInfo", "DestroySensor")
-        )
-        sent = {
-            "LoadWorld": self._world, "SpawnSensor": lambda: self._sensor(chance.choice((1, 2))),
-            "Render": lambda: self._frame(self._frames), "GetInfo": self._pb.GetInfoRequest,
-            "DestroySensor": lambda: self._pb.DestroySensorRequest(sensor_id=1),
-        }[name]()  # fmt: skip
-        if name == "Render":
-            fresh = self._sensor(2)
-            chance.choice(fresh.sensor.attributes).value = chance.choice(_NUMBERS)
-            status, _ = self.call(self._channel, f"{carla_service.SERVICE}/SpawnSensor", fresh.SerializeToString())
-            assert status in REFUSALS | {"OK"}, status
-        return f"{carla_service.SERVICE}/{name}", sent
-
-    def sound(self, channel: Any) -> bytes:
-        self._frames += 1
-        sent = self._frame(self._frames)
-        del sent.sensors[1:]
-        _, data = self.call(
-            channel, f"{carla_service.SERVICE}/Render", sent.SerializeToString(), patience_s=_COMPILING_S
-        )
-        return self._pb.RenderResponse.FromString(data).measurements[0].image.raw_data if data else b""
-
-
-_NUMBERS = ("", "0", "-0", "1", "-1", "nan", "inf", "-inf", "1e308", "-1e308", "1e-308", "360", "1e9", "x", "9" * 400)
 
 
 def damage_message(sent: Any, chance: Random) -> None:
@@ -459,15 +333,15 @@ class _Requests(Attack):
             each.close()
 
 
-DOORS = {
-    door.name: door
-    for door in (
-        Door("alpasim", lambda: _open_grpc(SensorsimServer), _AlpaSim, 400 << 20),
-        Door("carla", lambda: _open_grpc(carla_service.CanvasServer), _Carla, 800 << 20),
-        Door("page-messages", _open_page, _Page, 200 << 20),
-        Door("page-requests", _open_page, _Requests, 200 << 20),
-    )
-}
+def _doors() -> Iterator[Door]:
+    """Doors of the extras, each in the folder of its tests, and those of pages."""
+    for each in sorted(Path(__file__).parents[1].glob("extras/*/door.py")):
+        yield import_module(f"tests.extras.{each.parent.name}.door").DOOR
+    yield Door("page-messages", "viser", _open_page, _Page, 200 << 20)
+    yield Door("page-requests", "viser", _open_page, _Requests, 200 << 20)
+
+
+DOORS = {door.name: door for door in _doors()}
 """By name."""
 
 
