@@ -11,7 +11,7 @@ from cyclopts import CycloptsError, UnknownCommandError, UnknownOptionError
 
 import gsrain as gr
 from app.main import app, benchmarks, evaluations, spelled_out
-from docs import tables
+from docs import figures, tables
 from documentation import PAGES, anchors_of, commands_of, links_of, text_of
 from repository import REPOSITORY
 from ui.commands.keys import chord_name
@@ -55,6 +55,19 @@ def test_every_page_is_in_the_menu_of_the_site(site_pages):
     assert len(listed) == len(set(listed))
     assert set(listed) == in_docs | set(site_pages.ELSEWHERE.values()) | {"api.md", "commands.md", "settings.md"}
     assert all((REPOSITORY / source).is_file() for source in site_pages.ELSEWHERE)
+
+
+@pytest.mark.parametrize("command", figures.FIGURES)
+def test_figures_of_pages_are_what_the_command_prints(command, tmp_path):
+    """Within half a percent, by which processors may differ."""
+    numbers = figures.numbers_of(command, tmp_path)
+    for figure in figures.FIGURES[command]:
+        there, now = figures.written(figure), figure.text(numbers)
+        assert numbers_in(there) == pytest.approx(numbers_in(now), rel=0.005), "python -m docs.figures writes them"
+
+
+def numbers_in(text):
+    return [float(each) for each in re.findall(r"\d+(?:\.\d+)?", text.replace(",", ""))]
 
 
 @pytest.mark.parametrize("page", tables.PAGES)
