@@ -6,7 +6,7 @@ import shutil
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from functools import partial, wraps
+from functools import wraps
 from importlib import import_module, metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
@@ -14,7 +14,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 import numpy as np
 
 from gsrain_engine import plugins
-from gsrain_engine.optional_packages import OPTIONAL_PACKAGES, has_package, how_to_add, is_frozen, missing_package
+from gsrain_engine.optional_packages import (
+    OPTIONAL_PACKAGES,
+    MissingPackageError,
+    how_to_add,
+    is_frozen,
+    require_package,
+)
 from gsrain_engine.plugins import Extension, find_extensions
 from gsrain_engine.safe_io.text_files import printable_line
 
@@ -63,8 +69,8 @@ def doctor(
     optional = [each() for each in (_osmesa, _display, _cuda, find_gsplat, *weights, find_zsh)]
     optional = [*([video] if is_frozen() else []), *optional, *map(find_package, OPTIONAL_PACKAGES)]
     optional = optional if sys.platform == "linux" else [opengl, *optional]
-    added = [_tried(f"{each.group.noun} {each.name}", partial(describe, each)) for each in installed_extensions()]
-    marks = {"MISSING": needed, "WRONG  ": tested, "absent ": optional, "broken ": added}
+    lacking, added = _extensions()
+    marks = {"MISSING": needed, "WRONG  ": tested, "absent ": [*optional, *lacking], "broken ": added}
     for missing, findings in marks.items():
         for each in findings:
             print(f"{'ok     ' if each.found else missing} {each.name}: {each.what}")
@@ -421,16 +427,32 @@ def installed_extensions() -> list[Extension]:
     return [each for group in plugins.GROUPS for each in find_extensions(group)]
 
 
-def describe(extension: Extension) -> str:
-    """Load an extension as the program would, and return its origin and what it lacks.
+def _extensions() -> tuple[list[Finding], list[Finding]]:
+    """Return the extensions that lack a package, and the others."""
+    lacking: list[Finding] = []
+    others: list[Finding] = []
+    for each in installed_extensions():
+        name = f"{each.group.noun} {each.name}"
+        try:
+            others.append(Finding(name, True, describe(each)))
+        except MissingPackageError as error:
+            lacking.append(Finding(name, False, str(error)))
+        except Exception as error:  # of others' code
+            others.append(Finding(name, False, printable_line(error)))
+    return lacking, others
 
-    Raises ValueError if it is unusable.
+
+def describe(extension: Extension) -> str:
+    """Load an extension as the program would, and return its origin.
+
+    Raises `MissingPackageError` if it lacks a package, ValueError if it is unusable.
     """
-    lacks: list[str] = []
+    origin = f"{extension.place} of {extension.package} {extension.version}".rstrip()
     if extension.group in _KINDS:
         module, _, kind = _KINDS[extension.group].partition(":")
         loaded = extension.load(getattr(import_module(module), kind))
-        lacks = [missing_package(each, "it") for each in getattr(loaded, "packages", ()) if not has_package(each)]
+        for package in getattr(loaded, "packages", ()):
+            require_package(package, origin)
     elif extension.group is plugins.SCENE_FORMATS:
         from gsrain_engine.scene.formats.registry import format_of
 
@@ -445,7 +467,7 @@ def describe(extension: Extension) -> str:
         decoder(extension.name)
     else:  # agents and evaluations
         extension.load_callable()
-    return "; ".join([f"{extension.place} of {extension.package} {extension.version}".rstrip(), *lacks])
+    return origin
 
 
 _KINDS = {

@@ -74,3 +74,11 @@ def test_a_scene_whose_package_is_missing_is_named_by_its_own_file(without, tmp_
     for words in (["info", f"{tmp_path / 'a.usdz'}"], ["convert", f"{scene}", f"{tmp_path / 'b.usdz'}"]):
         assert run(words) == BAD_INPUT
         assert capsys.readouterr().err.startswith(f"gsrain: {words[-1]}: a .usdz file needs usd-core, ")
+
+
+def test_doctor_says_which_protocol_lacks_a_package(without, capsys):
+    without("carla_canvas")
+    run(["doctor"])
+    printed = capsys.readouterr().out
+    assert re.search(r"^absent  protocol carla-canvas: .* needs carla-canvas, which is not installed: ", printed, re.M)
+    assert re.search(r"^ok      protocol alpasim: gsrain_extras\.alpasim\.protocol:PROTOCOL of gsrain ", printed, re.M)
