@@ -127,9 +127,9 @@ class RainSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     closure: Annotated[Literal["density", "published"], Meta(
         title="Number of drops from", extra={
             "option": "drop-density", "commands": "render*, disdrometer", "group": "Physics",
-            "spelling": {"flux": "density", "table": "published"},
+            "spelling": {"rate": "density", "flux": "density", "table": "published"},
             "titles": {"density": "rain rate", "published": "table"}},
-        description="Rain rate (flux, density): as many drops as the intensity needs. "
+        description="Rain rate (rate, flux, density): as many drops as the intensity needs. "
         "table (published): those of the calibration's table.")] = "density"
     diameter_scale: Annotated[float, Meta(
         ge=0.25, le=4, title="Drop size factor", extra={

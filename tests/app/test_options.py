@@ -48,8 +48,9 @@ def test_a_command_has_the_options_that_are_relied_on(command, capsys):
 
 @pytest.mark.parametrize("words", ["--drop-density even", "--drop-density density", "--closure flux"])
 def test_the_drop_density_has_one_name_and_the_words_of_its_help(words):
-    _, bound, _ = app.parse_args(["disdrometer", "--drop-density", "flux"], exit_on_error=False)
-    assert bound.arguments["rain"].changes() == {"closure": "density"}
+    for word in ("rate", "flux"):
+        _, bound, _ = app.parse_args(["disdrometer", "--drop-density", word], exit_on_error=False)
+        assert bound.arguments["rain"].changes() == {"closure": "density"}
     with pytest.raises(CycloptsError, match="flux|--closure"):
         app.parse_args(["disdrometer", *words.split()], exit_on_error=False, print_error=False)
 
