@@ -126,7 +126,7 @@ def share_table(found: Sequence[Attribution]) -> Table:
             part = own.value / whole.value if whole.value else None
             about = each.intensity_mm_h, each.measure.title, each.measure.object or "", name
             rows.append((*each.subject.values(), *about, own, part))
-    shares = Column("change", "+.4f"), Column("of it", ".0%")
+    shares = Column("change", "+.4f"), Column("part", ".0%")
     return Table("Shares of the factors", (*titled, *shares), rows, _SHAPLEY + method_of(found[0]) + OVER)
 
 
