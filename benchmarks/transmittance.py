@@ -1,4 +1,4 @@
-"""Share of light that walls keep in rain, against exp(-beta r): prints the table of docs/physics.md, section 2.
+"""Share of light that walls keep in rain, against exp(-beta r): prints the table of docs/physics/extinction.md.
 
 A black wall and a white one are drawn with the same drops; their difference in linear light, over that of clear air, is
 the transmittance of each pixel, whatever the airlight (Koschmieder 1924). beta is the `extinction_per_m` that

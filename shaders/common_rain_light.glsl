@@ -1,4 +1,4 @@
-// Rain's light added to the scene's in linear space (docs/physics.md, section 6). For one streak of alpha a before a scene of
+// Rain's light added to the scene's in linear space (docs/physics/streaks.md). For one streak of alpha a before a scene of
 // display color B this is enc((1 - a) dec(B) + a S).
 
 // `scene`: premultiplied, without rain; `rain` and `visible`: shares of rain and scene through each other; `light`: S, linear.

@@ -49,7 +49,7 @@ brightest light and theirs (0.15 at least); streaks are too narrow."""
 _DIAMETERS_MM = np.geomspace(0.3, 8.0, 400)
 _TYPICAL_MM, _TYPICAL_SPREAD = 1.3, 0.25
 """Volume-weighted mean diameter E[D^4] / E[D^3] of rain and its relative spread: 1.05 mm at 1.2 mm/h to 1.6 mm at 12
-mm/h in the gamma laws fitted to Locarno's Parsivel minutes of 2018 (docs/physics.md)."""
+mm/h in the gamma laws fitted to Locarno's Parsivel minutes of 2018 (docs/physics/drops.md)."""
 
 _LIGHT_BLOCK_PX, _BANDS, _MIN_BANDS, _MIN_BLOCKS = 4, 32, 3, 100
 """Blocks over which changes are averaged for the light of drops; bands of 8 gray levels, at least 3 of which have so

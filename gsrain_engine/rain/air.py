@@ -1,7 +1,7 @@
 """Air: wind over height, gusts and turbulence; the velocities that they give to drops, and the offsets that follow.
 
 A drop of the lattice drifts with the mean wind at one height. All else moves it away from there by an offset that is a
-closed form of height and time, so that no history is needed (docs/physics.md, section 3).
+closed form of height and time, so that no history is needed (docs/physics/positions.md).
 """
 
 from dataclasses import dataclass

@@ -184,7 +184,7 @@ def flux_mm_h(density_m3: float, sizes: DropSizes, velocity: Velocity) -> float:
 
 
 def rain_properties(rain: RainSettings, calibration: Calibration) -> RainProperties:
-    """Compute the properties of the rain (docs/physics.md, sections 1 and 2)."""
+    """Compute the properties of the rain (docs/physics/drops.md, docs/physics/extinction.md)."""
     intensity = rain.intensity_mm_h
     # At R = 0 there are no drops; their sizes stay those of the faintest rain to avoid division by zero.
     table_density, sizes = _interpolate_table(calibration, max(intensity, _MIN_MM_H), rain.closure)

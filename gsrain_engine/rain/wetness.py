@@ -17,7 +17,7 @@ CROSS_SLOPE = 0.02  # of a road, m/m; a common design value
 TEXTURE_DEPTH_MM = 0.5  # mean, of dense asphalt
 
 SOAKING_DEPTH_MM = 0.05
-"""Mean depth of water at which a road has 1 - 1/e of its soaked look; our choice, see docs/physics.md."""
+"""Mean depth of water at which a road has 1 - 1/e of its soaked look; our choice, see docs/physics/wetness.md."""
 
 OVERCAST_FROM_MM_H, OVERCAST_MM_H = 0.3, 0.5
 """Intensity above which the sky closes, and from which it is closed. Below, rain dries where it falls."""

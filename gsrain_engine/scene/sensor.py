@@ -68,7 +68,7 @@ class Sensor(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     gain: Annotated[float, Meta(
         ge=1, le=256, title="Gain", description="ISO gain: white has so many times fewer electrons.")] = 1.0
     tone_curve: Annotated[Literal["srgb", "crushed"], Meta(
-        title="Tone curve", description="srgb, or one with crushed blacks (docs/physics.md, 4).")] = "srgb"
+        title="Tone curve", description="srgb, or one with crushed blacks (docs/physics/streaks.md).")] = "srgb"
     demosaic_px: Annotated[float, Meta(
         ge=0, le=4, title="Demosaicing", extra={"unit": "px"},
         description="Blur by interpolation of the color filter array (standard deviation); 0: none.")] = 0.0

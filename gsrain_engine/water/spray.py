@@ -1,8 +1,8 @@
 """Spray: the water that tires throw from a wet road, as parcels of drops in the wake behind each vehicle.
 
 Parcels leave the tires at fixed places of a lattice in time, along the past track of each vehicle. Their places, sizes
-and floating shares later are closed forms of their age, so that any frame can be computed alone (docs/physics.md,
-section 20).
+and floating shares later are closed forms of their age, so that any frame can be computed alone
+(docs/physics/spray.md).
 """
 
 import math

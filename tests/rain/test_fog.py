@@ -1,4 +1,4 @@
-"""Fog: extinction without drops, alone and in rain, on all back ends (docs/physics.md, section 6)."""
+"""Fog: extinction without drops, alone and in rain, on all back ends (docs/physics/extinction.md)."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Lamps light drops and medium, against single scattering by brute force (docs/physics.md, section 16)."""
+"""Lamps light drops and medium, against single scattering by brute force (docs/physics/night.md)."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Haze as a medium: extinction along rays, in numbers and in float images (docs/physics.md, section 6)."""
+"""Haze as a medium: extinction along rays, in numbers and in float images (docs/physics/extinction.md)."""
 
 import msgspec
 import numpy as np

@@ -1,4 +1,4 @@
-"""Optics of rain, measured in float images of the CPU renderer (docs/physics.md, sections 2, 4 and 6)."""
+"""Optics of rain, measured in float images of the CPU renderer (docs/physics/extinction.md, streaks.md)."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Phase functions of rain and fog (docs/physics.md, section 16)."""
+"""Phase functions of rain and fog (docs/physics/night.md)."""
 
 import numpy as np
 import pytest

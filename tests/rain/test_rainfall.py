@@ -132,7 +132,7 @@ def test_every_calibration_closes_goes_on_smoothly_and_is_found_again_by_its_den
 
 def test_page_of_the_physics_has_the_extinction_of_each_calibration():
     """Per km at each intensity of its table, and that of the published one over Marshall and Palmer's."""
-    page = (REPOSITORY / "docs" / "physics.md").read_text("utf-8").split("**Which calibration to take.**")[1]
+    page = (REPOSITORY / "docs" / "physics" / "drops.md").read_text("utf-8").split("## Which calibration to take")[1]
     rows = [line.strip("| ").split(" | ") for line in page.splitlines() if re.match(r"\| [\d.]+ \|", line)][:7]
     assert [float(row[0]) for row in rows] == [1, 2.5, 8.5, 13, 25, 50, 100]
     for intensity, *extinctions, times in rows:

@@ -1,4 +1,4 @@
-"""Color of the medium: that of the sky just above the horizon (docs/physics.md, section 2)."""
+"""Color of the medium: that of the sky just above the horizon (docs/physics/extinction.md)."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The OpenGL back ends draw what the CPU's does: scenes to 50 dB, the rain's own light to 5 % (docs/physics.md)."""
+"""The OpenGL back ends draw as the CPU does: scenes to 50 dB, the rain's own light to 5 % (docs/physics/streaks.md)."""
 
 from dataclasses import replace
 from typing import get_args

@@ -1,4 +1,4 @@
-"""Contrast that walls keep in rain, measured in float images of black and white ones (docs/physics.md, section 2)."""
+"""Contrast that walls keep in rain, measured in float images of black and white ones (docs/physics/extinction.md)."""
 
 import numpy as np
 import pytest

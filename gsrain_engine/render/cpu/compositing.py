@@ -379,7 +379,7 @@ def _store_veil(state, x0, y0, images):
 
 
 # Rain light
-# Adds the rain's light to the scene's in linear space (docs/physics.md, section 6), as in rain_resolve.frag.
+# Adds the rain's light to the scene's in linear space (docs/physics/streaks.md), as in rain_resolve.frag.
 
 FILM = 6 * TILE
 """Offset in a tile's column, after the lines of `composite`, of the visible shares of films and of standing water."""

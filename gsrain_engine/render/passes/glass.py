@@ -24,7 +24,7 @@ from ..view import RenderView, ego_view
 from .base import Factor, FrameParts
 
 WIDE_SHARE = 1 / 32
-"""Share of the Gaussians in the wide view behind the glass (docs/physics.md, section 18)."""
+"""Share of the Gaussians in the wide view behind the glass (docs/physics/glass.md)."""
 
 WIDE_PX2 = 1.0
 """Area of the wide view, in its pixels, below which fewer Gaussians are drawn."""
