@@ -22,7 +22,7 @@ from gsrain_engine.render.renderer import PictureFilter
 from rain.test_available import SCENE, SKY, VIEW
 from small_scene import small_scene
 
-RAIN = RainSettings(intensity_mm_h=25.0, glass="windshield", sensor="automotive")
+RAIN = RainSettings(intensity_mm_h=25.0, glass="windshield", glass_wet_s=4.0, sensor="automotive")
 
 
 class Vignette:
