@@ -21,8 +21,8 @@ settings.register_profile(
 )
 settings.load_profile("gsrain")
 
-# Modules compiled once are kept, whatever the machine's setting: else each command, worker and window that a test starts
-# compiles all of them anew, those of torch and SciPy as well.
+# Modules compiled once are kept, whatever the machine's setting: else each command, worker and window that a test
+# starts compiles all of them anew, those of torch and SciPy as well.
 sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 

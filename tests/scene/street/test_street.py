@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from built_street import MOMENTS, SHORT, moments_of, street_of, surfaces_of
+from built_street import MOMENTS, SHORT, WHOLE, moments_of, street_of, surfaces_of
 from gsrain_engine.scene.gaussians import SH_C0, Gaussians, evaluate_sh
 from gsrain_engine.scene.geometry import matrices_from_quaternions
 from gsrain_engine.scene.rig import rig_camera
@@ -39,12 +39,12 @@ from ..formats.sample_files import assert_valid
 
 @pytest.fixture(scope="module")
 def surfaces() -> StreetSurfaces:
-    return surfaces_of()
+    return surfaces_of(WHOLE)
 
 
 @pytest.fixture(scope="module")
 def street() -> Scene:
-    return street_of()
+    return street_of(WHOLE)
 
 
 def test_gaussians_are_sound_and_those_of_the_quads(street: Scene, surfaces: StreetSurfaces) -> None:
