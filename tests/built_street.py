@@ -22,12 +22,12 @@ MOMENTS = Path(__file__).parent / "golden" / "street.json"
 
 
 @cache
-def surfaces_of(parameters: StreetParameters = WHOLE) -> StreetSurfaces:
+def surfaces_of(parameters: StreetParameters) -> StreetSurfaces:
     return street_surfaces(parameters)
 
 
 @cache
-def street_of(parameters: StreetParameters = WHOLE) -> Scene:
+def street_of(parameters: StreetParameters) -> Scene:
     return scene_of(surfaces_of(parameters))
 
 
@@ -56,4 +56,4 @@ def _moments(quads: Quads, chosen: np.ndarray) -> dict[str, float | list[float]]
 
 
 if __name__ == "__main__":
-    MOMENTS.write_text(json.dumps(moments_of(surfaces_of()), indent=1) + "\n", encoding="utf-8")
+    MOMENTS.write_text(json.dumps(moments_of(surfaces_of(WHOLE)), indent=1) + "\n", encoding="utf-8")

@@ -21,6 +21,11 @@ settings.register_profile(
 )
 settings.load_profile("gsrain")
 
+# Modules compiled once are kept, whatever the machine's setting: else each command, worker and window that a test
+# starts compiles all of them anew, those of torch and SciPy as well.
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+
 # What tests prefer, keep and have opened is nobody's own.
 _OWN = tempfile.TemporaryDirectory(prefix="gsrain-tests-")
 os.environ["XDG_STATE_HOME"] = os.environ["XDG_CONFIG_HOME"] = _OWN.name

@@ -178,7 +178,7 @@ def _quantiles(
 
 def _clusters(surfaces: _Surfaces) -> list[Int64[np.ndarray, " m"]]:
     """Rows of the bright Gaussians of each lamp, which touch, with those that glow around them, in a small extent."""
-    brightness = surfaces.light.max(axis=1)
+    brightness, areas_m2 = surfaces.light.max(axis=1), surfaces.areas_m2
     glowing = np.flatnonzero((brightness >= _GLOW) & (surfaces.opacities >= _OPAQUE))
     glowing = glowing[surfaces.widths_m[glowing] < _LARGEST_M / 2]
     if not len(glowing):
@@ -192,9 +192,9 @@ def _clusters(surfaces: _Surfaces) -> list[Int64[np.ndarray, " m"]]:
     for rows in np.split(glowing[order], np.searchsorted(labels[order], np.arange(1, count))):
         extent = np.ptp(surfaces.means_m[rows], axis=0) + 2 * float(surfaces.widths_m[rows].max())
         bright = rows[brightness[rows] >= BRIGHT]
-        if np.linalg.norm(extent) <= _LARGEST_M and surfaces.areas_m2[bright].sum() >= _SMALLEST_M2:
+        if np.linalg.norm(extent) <= _LARGEST_M and areas_m2[bright].sum() >= _SMALLEST_M2:
             found.append(bright)
-    strength = [-float(surfaces.areas_m2[rows] @ brightness[rows]) for rows in found]
+    strength = [-float(areas_m2[rows] @ brightness[rows]) for rows in found]
     return [found[k] for k in np.argsort(strength, kind="stable")[:_MAX_CLUSTERS]]
 
 

@@ -34,7 +34,7 @@ from water.test_spray import VIEW, street, track
 
 SKY = SkyLight((0.7, 0.75, 0.8), (0.5, 0.55, 0.6))
 OPTIONS = {each.name for each in fields_of(RainSettings) if {"render", "export-rain"} & {*each.commands}}
-BASE = RainSettings(intensity_mm_h=25.0, exposure_s=0.01, seed=1)
+BASE = RainSettings(intensity_mm_h=25.0, exposure_s=0.01, seed=1, glass_wet_s=4.0)
 CHANGES = {
     "intensity_mm_h": 5.0, "exposure_s": 0.03, "seed": 2, "streaks": False, "haze": "none", "visibility_m": 60.0,
     "roofs": True, "wind_speed_m_s": 15.0, "wind_from_deg": 90.0, "gust_m_s": 8.0, "turbulence_m_s": 3.0,

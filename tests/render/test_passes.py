@@ -22,7 +22,7 @@ from gsrain_engine.render.renderer import PictureFilter
 from rain.test_available import SCENE, SKY, VIEW
 from small_scene import small_scene
 
-RAIN = RainSettings(intensity_mm_h=25.0, glass="windshield", sensor="automotive")
+RAIN = RainSettings(intensity_mm_h=25.0, glass="windshield", glass_wet_s=4.0, sensor="automotive")
 
 
 class Vignette:
@@ -82,7 +82,7 @@ def test_a_new_effect_is_a_class_and_a_row(monkeypatch):
 def test_times_of_rows_sum_to_that_of_the_picture(backend):
     shares = []
     with open_renderer(backend) as renderer:
-        for number in range(8):
+        for number in range(4):
             frame = FrameInput.of(SCENE, RainSimulation.start(RAIN), SKY, VIEW)
             started = time.perf_counter()
             picture = draw(renderer, frame)

@@ -17,8 +17,10 @@ from gsrain_engine.render.frame_input import FrameInput
 from gsrain_engine.render.view import RenderView
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.gaussians import SH_C0
-from gsrain_engine.scene.street.build import LEAD_ID, scene_of, street_surfaces
+from gsrain_engine.scene.open import load_street
+from gsrain_engine.scene.street.build import LEAD_ID, quads_to_gaussians
 from gsrain_engine.scene.street.layout import STREETS
+from gsrain_engine.scene.street.mesh import Quads
 from gsrain_engine.scene.street.sharpness import (
     STEPS,
     color_factors,
@@ -31,7 +33,7 @@ from small_scene import small_scene
 
 @pytest.mark.parametrize("name", ["street", "street:dusk"])
 def test_factors_are_those_of_the_streets_gaussians(name: str) -> None:
-    surfaces = surfaces_of(WHOLE) if name == "street" else street_surfaces(STREETS[name])
+    surfaces = surfaces_of(STREETS[name])
     factors = color_factors(STREETS[name])
     sizes = {**{key: len(quads) for key, quads in surfaces.layers.items()}, LEAD_ID: len(surfaces.lead)}
     assert {key: len(each) for key, each in factors.items()} == sizes
@@ -90,13 +92,29 @@ def test_pictures_and_their_transpose_agree() -> None:
     )
 
 
+def around_picture(quads: Quads, camera: Camera) -> Quads:
+    """Take those in front of a camera that can reach into its picture."""
+    turned = camera.world_to_camera
+    x, y, z = (quads.centers @ turned[:3, :3].T + turned[:3, 3]).T
+    depth, margin_m = np.maximum(z, 0.5), 1.5
+    beside = np.abs(x) - camera.width / 2 / camera.fx * depth, np.abs(y) - camera.height / 2 / camera.fy * depth
+    return quads.take((z > 0.5) & (beside[0] < margin_m + 0.1 * depth) & (beside[1] < margin_m + 0.1 * depth))
+
+
 def test_pictures_are_as_sharp_as_those_of_the_mesh() -> None:
-    """The middle of a picture from the ego's camera, at a moment that is not among those of the fit."""
-    surfaces = surfaces_of(WHOLE)
-    sharp, soft = scene_of(surfaces), scene_of(surfaces, sharp=False)
+    """The middle of a picture from the ego's camera, at a moment that is not among those of the fit.
+
+    Of the mesh, and of the Gaussians without factors, only what lies in it is lit.
+    """
+    sharp = load_street()
     view = ego_views(sharp, 960, 4)[2]
     camera = replace(view.camera, width=480, height=320, cx=view.camera.cx - 240, cy=view.camera.cy - 160)
-    view = replace(view, camera=camera)
+    view, whole = replace(view, camera=camera), surfaces_of(WHOLE)
+    layers = {name: quads if name == "sky" else around_picture(quads, camera) for name, quads in whole.layers.items()}
+    surfaces, soft = replace(whole, layers=layers), sharp
+    for name, quads in layers.items():
+        gaussians = quads_to_gaussians(quads, surfaces.light())
+        soft = soft.with_member(f"layers/{name}", gaussians=gaussians, wet_sh=None)
     mesh = mesh_picture(StreetViews(surfaces), view)
     energies, errors = {}, {}
     with open_renderer("cpu") as renderer:
