@@ -84,9 +84,9 @@ def test_a_camera_drives_where_a_detector_is_found(tmp_path, monkeypatch):
         open_agent("camera-idm", AgentOptions(detector=detector))
     assert default_agent(AgentOptions(detector=detector)) == ("camera-idm", None)
     monkeypatch.setenv(PLACE, str(detector))
-    monkeypatch.setattr(registry.importlib.util, "find_spec", lambda name: object())
+    monkeypatch.setattr(registry, "has_package", lambda name: True)
     assert default_agent(AgentOptions()) == ("camera-idm", None)
-    monkeypatch.setattr(registry.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(registry, "has_package", lambda name: False)
     assert default_agent(AgentOptions())[0] == "oracle-idm"
 
 
