@@ -465,7 +465,7 @@ def describe(extension: Extension) -> str:
         from gsrain_engine.evaluation.detection.decoders import decoder
 
         decoder(extension.name)
-    else:  # agents and evaluations
+    else:  # agents, commands and evaluations
         extension.load_callable()
     return origin
 
@@ -474,6 +474,8 @@ _KINDS = {
     plugins.PANELS: "ui.panels.registry:Panel",
     plugins.DISDROMETERS: "gsrain_engine.disdrometer.open:LogFormat",
     plugins.CAPTURE_FORMATS: "gsrain_engine.datasets.open_capture:CaptureFormat",
+    plugins.MODELS: "gsrain_engine.scene.models:ModelLibrary",
+    plugins.SCENES: "gsrain_engine.scene.built_in:BuiltInScene",
     plugins.PROTOCOLS: "gsrain_engine.simulation.serving.protocols:ServerProtocol",
 }
 """Types of extensions that are values."""

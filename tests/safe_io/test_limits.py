@@ -309,7 +309,7 @@ ALLOWED = {
     "gsrain_engine/presets.py": "files of the package",
     "gsrain_engine/editor/news.py": "a file of the package",
     "gsrain_engine/rain/phase.py": "a file of the package",
-    "gsrain_engine/scene/street/sharpness.py": "files of the package",
+    "gsrain_extras/street/sharpness.py": "files of the package",
     "gsrain_engine/render/opengl/shaders.py": "files of the package",
     "gsrain_engine/publish/page.py": "a file of the package",
     "gsrain_extras/alpasim/messages.py": "a file of the package",

@@ -17,11 +17,10 @@ from gsrain_engine.editor.steps import EditStep, apply_steps, steps_since
 from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.scene.gaussians import SH_C0, Gaussians
 from gsrain_engine.scene.geometry import srgb_to_linear
-from gsrain_engine.scene.lamps import Lamp
+from gsrain_engine.scene.lamps import LANTERN_HEIGHT_M, Lamp
 from gsrain_engine.scene.open import load_scene
 from gsrain_engine.scene.progress import run_to_end
 from gsrain_engine.scene.scene import Layer, PoseTrack, Scene
-from gsrain_engine.scene.street.night import LANTERN_HEIGHT_M
 from training.small_street import flat_patch
 
 LAMP = Lamp(name="one", position=(5.0, 0.0, 6.0), color=(1.0, 0.5, 0.25), intensity_m2=200.0)
