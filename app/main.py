@@ -4,7 +4,7 @@ import logging
 import os
 import select
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from contextlib import nullcontext, redirect_stdout
 from contextvars import copy_context
 from difflib import get_close_matches
@@ -129,13 +129,13 @@ def run(arguments: list[str]) -> int:
     errors = Console(stderr=True, soft_wrap=True)
     try:
         if arguments[:1] and arguments[0] not in BUILT_IN_COMMANDS[plugins.COMMANDS] - _HARMLESS:
-            add_installed(app, plugins.COMMANDS, arguments)
+            add_installed(app, plugins.COMMANDS, arguments[:1])
         if (suggestion := _misspelled(arguments)) is not None:
             raise ValueError(suggestion)
         if not _HARMLESS.intersection(arguments) and not _has_working_directory():
             raise ValueError("the working directory was removed; cd to one that is there")
         if arguments[:1] == ["evaluate"]:
-            add_installed(evaluations, plugins.EVALUATIONS, arguments[1:])
+            add_installed(evaluations, plugins.EVALUATIONS, arguments[1:2])
         # Run in a separate context, so that permissions of one command end with it.
         return copy_context().run(_run, spelled_out(arguments))
     except (CycloptsError, ValueError, OSError, MemoryError, ImportError) as error:
@@ -242,10 +242,10 @@ def spelled_out(arguments: Iterable[str]) -> list[str]:
 # Commands of plug-ins
 
 
-def add_installed(commands: App, point: EntryPointGroup, asked: Sequence[str]) -> None:
-    """Add the commands of a kind that plug-ins have; only the one that `asked` begins with is loaded.
+def add_installed(commands: App, point: EntryPointGroup, loaded: Collection[str]) -> None:
+    """Add the commands of a kind that plug-ins have; only those whose names are in `loaded` are imported.
 
-    Raises `ExtensionError` with the reason if that one is unusable.
+    Raises `ExtensionError` with the reason if one of these is unusable.
     """
     ours = BUILT_IN_COMMANDS[point]
     for name in set(commands) - ours:  # from an earlier run
@@ -253,7 +253,7 @@ def add_installed(commands: App, point: EntryPointGroup, asked: Sequence[str]) -
     for each in find_extensions(point):
         if each.name in ours:
             continue
-        if list(asked[:1]) == [each.name]:
+        if each.name in loaded:
             commands.command(each.load_callable(), name=each.name)
         else:  # it appears only in the help
             commands.command(lambda: None, name=each.name, help=each.summary)

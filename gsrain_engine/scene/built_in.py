@@ -37,7 +37,7 @@ class BuiltInScene:
     fingerprint: Callable[[], str]
     """Hash of all that `build` depends on: a cached scene with another one is not used."""
     boxes: Callable[[], Sequence[SceneBox]] = tuple
-    """What has a class in it, besides its actors."""
+    """Objects with a class in it, besides its actors."""
     overcast_twin: str | None = None
     """Name of the scene that has this one's dry colors under clouds."""
     time_of_day: TimeOfDay = "day"
