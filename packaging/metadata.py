@@ -16,10 +16,11 @@ def write_metadata(folder: Path, checkout: Path) -> None:
     lines = f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n"
     (info / "METADATA").write_text(lines, "utf-8")
     groups = {"console_scripts": project["scripts"], **project.get("entry-points", {})}
-    sections = (
-        f"[{group}]\n" + "".join(f"{name} = {place}\n" for name, place in rows.items()) for group, rows in groups.items()
+    lines = "".join(
+        f"[{group}]\n" + "".join(f"{name} = {place}\n" for name, place in rows.items())
+        for group, rows in groups.items()
     )
-    (info / "entry_points.txt").write_text("\n".join(sections), "utf-8")
+    (info / "entry_points.txt").write_text(lines, "utf-8")
 
 
 if __name__ == "__main__":
