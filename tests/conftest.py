@@ -68,7 +68,7 @@ def pytest_runtest_makereport(item, call):
     return report
 
 
-_MISSES_STREET = re.compile(r"no built-in scene has this name|model \S+: no such file, and none of|no such scene")
+_MISSES_STREET = re.compile(r"no built-in scene has|model \S+: no such file, and none of|street(:\w+)?: (there is )?no ")
 
 _MAX_SKIPS = {
     r"needs an? (NVIDIA )?GPU": 20,

@@ -196,7 +196,7 @@ def test_models_are_road_users(rain_lab):
     cones = [vehicle_model(name, small_scene()) for name in ("cone", "cone/red")]
     assert [each.size_lwh_m for each in cones] == [(0.4, 0.4, 0.75)] * 2
     assert not np.array_equal(*(each.gaussians.sh for each in cones))
-    for model, words in (("cone/blue", "no paint is called 'blue', only red"), ("cones", "none of cone, ")):
+    for model, words in (("cone/blue", "no paint is called 'blue', only red"), ("cones", "none of cone")):
         with pytest.raises(ValueError, match=words):
             vehicle_model(model, small_scene())
 
