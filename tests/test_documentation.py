@@ -58,6 +58,7 @@ def test_every_page_is_in_the_menu_of_the_site(site_pages):
     assert all((REPOSITORY / source).is_file() for source in site_pages.ELSEWHERE)
 
 
+@pytest.mark.street
 @pytest.mark.parametrize("command", figures.FIGURES)
 def test_figures_of_pages_are_what_the_command_prints(command, tmp_path):
     """Within half a percent, by which processors may differ."""

@@ -87,6 +87,7 @@ def test_level_ground_is_asphalt_under_the_lamp(yard, night):
     assert yard.layers[0].gaussians.means is g.means
 
 
+@pytest.mark.street
 def test_a_drive_gets_lanterns_at_its_right_and_an_object_two_lamps(yard):
     track = PoseTrack(np.array([0.0, 1.0]), np.array([[-9.0, 0, 1.5], [-4.0, 0, 1.5]]),
                       np.tile([1.0, 0, 0, 0], (2, 1)), np.ones(2, bool))  # fmt: skip
