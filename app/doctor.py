@@ -27,6 +27,7 @@ from gsrain_engine.safe_io.text_files import printable_line
 from .console import print, run_with_progress
 from .options import JsonFile, flag, option, window_problem
 from .outputs import check_writable, write_numbers
+from .schema import settings_type
 
 if TYPE_CHECKING:
     from packaging.requirements import Requirement
@@ -465,6 +466,8 @@ def describe(extension: Extension) -> str:
         from gsrain_engine.evaluation.detection.decoders import decoder
 
         decoder(extension.name)
+    elif extension.group is plugins.SETTINGS:
+        settings_type(extension.name)
     else:  # agents and evaluations
         extension.load_callable()
     return origin

@@ -4,8 +4,8 @@ import logging
 import os
 import select
 import sys
-from collections.abc import Collection, Iterable, Sequence
-from contextlib import nullcontext, redirect_stdout
+from collections.abc import Collection, Generator, Iterable
+from contextlib import contextmanager, nullcontext, redirect_stdout
 from contextvars import copy_context
 from difflib import get_close_matches
 from importlib import metadata
@@ -16,7 +16,7 @@ from cyclopts import App, ArgumentCollection, CycloptsError, Parameter
 
 from gsrain_engine.optional_packages import MissingPackageError
 from gsrain_engine.plugins import EVALUATIONS as EVALUATION_POINT
-from gsrain_engine.plugins import find_extensions
+from gsrain_engine.plugins import Extension, find_extensions
 from gsrain_engine.safe_io.errors import MissingInputsError, sentence_of
 from ui.commands.table import BENCHMARKS, EVALUATIONS, SHELL_COMMANDS
 
@@ -117,7 +117,6 @@ evaluations = App(name="evaluate", help="Compare rendered images with recorded o
 app.command(evaluations)
 for name, (function, summary) in EVALUATIONS.items():
     evaluations.command(function, name=name, help=summary)
-OUR_EVALUATIONS = frozenset(evaluations)
 
 
 def run(arguments: list[str]) -> int:
@@ -132,10 +131,10 @@ def run(arguments: list[str]) -> int:
             raise ValueError(suggestion)
         if not _HARMLESS.intersection(arguments) and not _has_working_directory():
             raise ValueError("the working directory was removed; cd to one that is there")
-        if arguments[:1] == ["evaluate"]:
-            add_installed_evaluations(arguments[1:])
-        # Run in a separate context, so that permissions of one command end with it.
-        return copy_context().run(_run, spelled_out(arguments))
+        evaluation = arguments[1] if arguments[:1] == ["evaluate"] and len(arguments) > 1 else ""
+        with installed_evaluations(evaluation) if arguments[:1] == ["evaluate"] else nullcontext():
+            # Run in a separate context, so that permissions of one command end with it.
+            return copy_context().run(_run, spelled_out(arguments))
     except (CycloptsError, ValueError, OSError, MemoryError, ImportError) as error:
         if isinstance(error, BrokenPipeError) and _nobody_reads():
             return NOBODY_READS
@@ -239,21 +238,34 @@ def spelled_out(arguments: Iterable[str]) -> list[str]:
     return ["--haze=none" if each == "--no-haze" else each for each in arguments]
 
 
-# Evaluations of other installed packages
+# Evaluations of installed packages
 
 
-def add_installed_evaluations(asked: Sequence[str]) -> None:
-    """Add the evaluations of other packages; only the one that `asked` begins with is loaded.
+@contextmanager
+def installed_evaluations(asked: str = "") -> Generator[None]:
+    """Add the evaluations of installed packages while the block runs; only the one of the name `asked` is loaded.
 
-    Raises `ExtensionError` with the reason if that one is unusable.
+    Raises `ExtensionError` with the reason if that one is unusable, ValueError if there is none of that name.
     """
-    for name in set(evaluations) - OUR_EVALUATIONS:  # from an earlier run
-        del evaluations[name]
-    for each in find_extensions(EVALUATION_POINT):
-        if each.name in OUR_EVALUATIONS:
-            continue
-        if list(asked[:1]) == [each.name]:
-            evaluations.command(each.load_callable(), name=each.name)
-        else:  # it appears only in the help
-            summary = f"Of the package {each.package} {each.version}."
-            evaluations.command(lambda: None, name=each.name, help=summary)
+    added = [each for each in find_extensions(EVALUATION_POINT) if each.name not in evaluations]
+    names = [each for each in (*evaluations, *(each.name for each in added)) if not each.startswith("-")]
+    if asked and not asked.startswith("-") and asked not in names:
+        like = get_close_matches(asked, names, 1)
+        hint = f"did you mean {like[0]}?" if like else f"there is {', '.join(sorted(names))}"
+        raise ValueError(f"evaluate {asked}: no such evaluation; {hint}")
+    try:
+        for each in added:
+            if each.name == asked:
+                evaluations.command(each.load_callable(), name=each.name)
+            else:  # it appears only in the help
+                evaluations.command(each.place, name=each.name, help=_summary(each))
+        yield
+    finally:
+        for name in {each.name for each in added}.intersection(evaluations):
+            del evaluations[name]
+
+
+def _summary(evaluation: Extension) -> str:
+    """Sentence about an evaluation, and the package that it is of, if that is another one."""
+    origin = "" if evaluation.package == app.name[0] else f"Of the package {evaluation.package} {evaluation.version}."
+    return " ".join(filter(None, (evaluation.summary, origin)))

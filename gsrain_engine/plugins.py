@@ -1,10 +1,13 @@
-"""Extensions: entry points of other installed packages, one group for each kind."""
+"""Extensions: entry points of installed packages, one group for each kind."""
 
+import ast
 import logging
 import sys
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from importlib.machinery import ModuleSpec, PathFinder
 from importlib.metadata import entry_points
+from importlib.util import find_spec
 from pathlib import Path
 from traceback import walk_tb
 from typing import Any, NamedTuple, TypeVar
@@ -30,8 +33,11 @@ EVALUATIONS = EntryPointGroup("gsrain.evaluations", "evaluation")
 PANELS = EntryPointGroup("gsrain.panels", "panel")
 PROTOCOLS = EntryPointGroup("gsrain.protocols", "protocol")
 SCENE_FORMATS = EntryPointGroup("gsrain.scene_formats", "scene format")
+SETTINGS = EntryPointGroup("gsrain.settings", "kind of settings")
 TRANSFERS = EntryPointGroup("gsrain.transfers", "transfer")
-GROUPS = (AGENTS, CAPTURE_FORMATS, DECODERS, DISDROMETERS, EVALUATIONS, PANELS, PROTOCOLS, SCENE_FORMATS, TRANSFERS)
+GROUPS = (
+    AGENTS, CAPTURE_FORMATS, DECODERS, DISDROMETERS, EVALUATIONS, PANELS, PROTOCOLS, SCENE_FORMATS, SETTINGS, TRANSFERS,
+)  # fmt: skip
 """All groups; docs/extending.md has an example of each."""
 
 
@@ -57,6 +63,18 @@ class Extension:
     def title(self) -> str:
         """Name in messages: panel cloudburst (my_package:PANEL of my-package)."""
         return f"{self.group.noun} {self.name} ({self.place} of {self.package or 'an installed package'})"
+
+    @property
+    def summary(self) -> str:
+        """First paragraph of the function's docstring, read from its source without running it; "" if there is none."""
+        module, _, name = self.place.partition(":")
+        spec = _spec_of(module)
+        if spec is None or spec.origin is None or not spec.origin.endswith(".py"):
+            return ""
+        tree = ast.parse(Path(spec.origin).read_bytes())
+        functions = (each for each in tree.body if isinstance(each, ast.FunctionDef) and each.name == name)
+        described = next((ast.get_docstring(each) or "" for each in functions), "")
+        return " ".join(described.partition("\n\n")[0].split())
 
     def load(self, kind: type[_Kind]) -> _Kind:
         """Return the named object. Raises `ExtensionError` if it can't be imported or is of another kind."""
@@ -107,6 +125,17 @@ class Extension:
             return self._entry.load(), None
         except Exception as error:  # third-party code may raise anything: its message is the reason
             return None, error
+
+
+def _spec_of(module: str) -> ModuleSpec | None:
+    """Find a module without importing the packages that it is in."""
+    first, *rest = module.split(".")
+    spec = find_spec(first)
+    for name in rest:
+        if spec is None or spec.submodule_search_locations is None:
+            return None
+        spec = PathFinder.find_spec(f"{spec.name}.{name}", spec.submodule_search_locations)
+    return spec
 
 
 def find_extensions(group: EntryPointGroup) -> tuple[Extension, ...]:

@@ -10,7 +10,7 @@ import yaml
 from cyclopts import CycloptsError, UnknownCommandError, UnknownOptionError
 
 import gsrain as gr
-from app.main import app, benchmarks, evaluations, spelled_out
+from app.main import app, benchmarks, evaluations, installed_evaluations, spelled_out
 from docs import figures, tables
 from documentation import PAGES, anchors_of, commands_of, links_of, text_of
 from repository import REPOSITORY
@@ -19,7 +19,7 @@ from ui.commands.table import COMMANDS, SHELL_COMMANDS
 from ui.panels.registry import BUILT_IN_PANELS
 from ui.tools import TOOLS
 
-OF_EXTENSIONS = {("evaluate", "contrast"), ("evaluate", "NAME")}
+OF_EXTENSIONS = {("evaluate", "contrast"), ("evaluate", "NAME"), ("schema", "site"), ("schema", "NAME")}
 """Commands that docs/extending.md adds."""
 SITE = yaml.safe_load((REPOSITORY / "mkdocs.yml").read_text(encoding="utf-8"))
 LISTED = [each for page in PAGES for each in commands_of(page)]
@@ -136,7 +136,8 @@ def test_commands_of_the_documentation_are_those_of_the_program(name):
         if (words[0] if words else "") != name or words[:2] in OF_EXTENSIONS or "--help" in words:
             continue
         try:
-            app.parse_args(spelled_out(words), exit_on_error=False, print_error=False)
+            with installed_evaluations():
+                app.parse_args(spelled_out(words), exit_on_error=False, print_error=False)
         except CycloptsError as error:
             if not command.is_whole and not isinstance(error, UnknownOptionError | UnknownCommandError):
                 continue

@@ -7,7 +7,7 @@ import sys
 import pytest
 from cyclopts import App
 
-from app.main import app, options_in_help, run
+from app.main import app, installed_evaluations, options_in_help, run
 from app.options import TOPICS, all_listed
 from repository import REPOSITORY
 
@@ -22,7 +22,14 @@ def commands(parent: App = app, words: tuple[str, ...] = ()):
             yield from commands(parent[name], (*words, name))
 
 
-COMMANDS = [(), *commands()]
+with installed_evaluations():
+    COMMANDS = [(), *commands()]
+
+
+@pytest.fixture(autouse=True)
+def _with_installed_evaluations():
+    with installed_evaluations():
+        yield
 
 
 def command_of(words: tuple[str, ...]) -> App:
@@ -80,7 +87,7 @@ def test_a_rare_option_works_without_being_listed():
 HEAVY = "torch scipy numba cv2 moderngl pandas matplotlib PIL zstandard onnxruntime imgui_bundle"
 AT_ONCE = [
     "", "bench", "evaluate", "render", "publish", "serve", "export-rain", "night", "edit", "schema", "doctor",
-    "evaluate streaks", "evaluate rain-gauge", "evaluate detection", "evaluate lidar",
+    "evaluate detection", "evaluate lidar",
 ]  # fmt: skip
 """Commands whose help is there as soon as that of the program."""
 
