@@ -122,7 +122,8 @@ BACKEND = option("Renderer; auto is the fastest here: OpenGL on a GPU, else the 
 # Options made from the field table
 
 Settings = TypeVar("Settings")
-Passed, Returned = ParamSpec("Passed"), TypeVar("Returned")
+Passed = ParamSpec("Passed")
+Returned = TypeVar("Returned")
 
 
 @dataclass(frozen=True, kw_only=True)

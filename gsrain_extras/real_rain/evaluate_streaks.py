@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from app.console import print_lines, progress_bar
-from app.options import JsonFileOrScreen, check_within, option, options_of, setting, takes_set
+from app.options import JsonFileOrScreen, StructOptions, check_within, option, options_of, setting, takes_set
 from app.outputs import check_ending, check_writable, table_stream, write_numbers
 from gsrain_engine.rain.settings import RainSettings
 
@@ -24,23 +24,17 @@ if TYPE_CHECKING:
 
 
 _AIR = ("wind_speed_m_s", "wind_from_deg", "gust_m_s", "turbulence_m_s")
-RenderedOptions = options_of(
-    RainSettings,
-    defaults={"intensity_mm_h": "that of each sequence", "sensor": "rainsense"}
-    | dict.fromkeys((*_AIR, "calibration"), "that of --conditions"),
-    topic="Rain",
-    names=(
-        "intensity_mm_h",
-        "seed",
-        *_AIR,
-        "calibration",
-        "model",
-        "streak_gain",
-        "sensor",
-        "aperture_mm",
-    ),
-    fixed={"exposure_s": "--exposure"},
-)
+if TYPE_CHECKING:
+    RenderedOptions = StructOptions
+else:
+    RenderedOptions = options_of(
+        RainSettings,
+        defaults={"intensity_mm_h": "that of each sequence", "sensor": "rainsense"}
+        | dict.fromkeys((*_AIR, "calibration"), "that of --conditions"),
+        topic="Rain",
+        names=("intensity_mm_h", "seed", *_AIR, "calibration", "model", "streak_gain", "sensor", "aperture_mm"),
+        fixed={"exposure_s": "--exposure"},
+    )
 _MIN_FRAMES, _MAX_FRAMES = 5, 200
 _log = logging.getLogger(__name__)
 
