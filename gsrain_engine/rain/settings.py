@@ -21,6 +21,9 @@ MAX_LAMP_GAIN = 10.0
 HEAVIEST_MM_H = 149.0
 """Highest intensity: the upper end of very heavy rain (ASAM OSI)."""
 
+SMALLEST_MM, LARGEST_MM = 0.1, 8.0
+"""Diameter limits: smaller drops are drizzle mist, larger ones break up. The distribution is cut and renormalized."""
+
 
 class RegionBox(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Axis-aligned box in the anchor's frame (x forward, y left, z up, origin 1.5 m above the road), in meters."""
