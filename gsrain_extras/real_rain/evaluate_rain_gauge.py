@@ -10,8 +10,6 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from jaxtyping import UInt8
-
 from app.console import print
 from app.options import JsonFile, check_within, option, setting
 from app.outputs import check_writable, write_numbers
@@ -19,6 +17,7 @@ from gsrain_engine.rain.settings import RainSettings
 
 if TYPE_CHECKING:
     import numpy as np
+    from jaxtyping import UInt8
 
 
 _MAX_FRAMES, _MAX_BYTES = 500, 3 << 29

@@ -87,7 +87,7 @@ def test_a_rare_option_works_without_being_listed():
 # Time
 
 
-HEAVY = "torch scipy numba cv2 av moderngl pandas matplotlib PIL zstandard onnxruntime imgui_bundle"
+HEAVY = "torch numpy scipy numba cv2 av moderngl pandas matplotlib PIL zstandard onnxruntime imgui_bundle"
 
 
 @pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
