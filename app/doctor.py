@@ -11,8 +11,6 @@ from importlib import import_module, metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
-import numpy as np
-
 from gsrain_engine import plugins
 from gsrain_engine.optional_packages import (
     OPTIONAL_PACKAGES,
@@ -27,8 +25,10 @@ from gsrain_engine.safe_io.text_files import printable_line
 from .console import print, run_with_progress
 from .options import JsonFile, flag, option, window_problem
 from .outputs import check_writable, write_numbers
+from .schema import settings_type
 
 if TYPE_CHECKING:
+    import numpy as np
     from packaging.requirements import Requirement
 
 _FEW_SPLATS, _MANY_SPLATS = (100_000,), (1_000_000, 3_000_000)
@@ -191,9 +191,10 @@ def _video() -> Finding:
 )
 def _threads() -> str:
     import numba
+    import numpy as np
 
     @numba.njit(parallel=True)
-    def count(values: np.ndarray) -> float:
+    def count(values: "np.ndarray") -> float:
         total = 0.0
         for i in numba.prange(len(values)):
             total += values[i]
@@ -465,6 +466,8 @@ def describe(extension: Extension) -> str:
         from gsrain_engine.evaluation.detection.decoders import decoder
 
         decoder(extension.name)
+    elif extension.group is plugins.SETTINGS:
+        settings_type(extension.name)
     else:  # agents, commands and evaluations
         extension.load_callable()
     return origin

@@ -6,54 +6,22 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from itertools import chain, product
 from pathlib import Path
-from typing import Annotated, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
 import msgspec
 from cyclopts import Parameter
 
-from gsrain_engine.backends import open_renderer
 from gsrain_engine.choices import Backend
 from gsrain_engine.optional_packages import require_package
 from gsrain_engine.rain.available import check_available
-from gsrain_engine.rain.calibration import load_calibration
-from gsrain_engine.rain.properties import extinction_note
 from gsrain_engine.rain.settings import RainSettings, load_preset
-from gsrain_engine.rain.wetness import with_wet_choice
 from gsrain_engine.render import export_settings
 from gsrain_engine.render.export_settings import Lod
-from gsrain_engine.render.level_of_detail import lod_cut
-from gsrain_engine.render.provenance import PictureProvenance
-from gsrain_engine.render.renderer import Renderer
-from gsrain_engine.render.video import can_write_videos
 from gsrain_engine.report.numbers import provenance_lines, run_provenance, write_provenance, write_text
-from gsrain_engine.report.page import write_report
 from gsrain_engine.safe_io.file_names import file_word, shortened
-from gsrain_engine.scene.built_in import DEFAULT_SCENE
-from gsrain_engine.scene.open import load_sorted_scene, scene_hash, with_lod_trees
-from gsrain_engine.scene.scene import Scene
-from gsrain_engine.simulation import simulation as driving
-from gsrain_engine.simulation.agents.base import Agent
-from gsrain_engine.simulation.agents.http import ClientError
-from gsrain_engine.simulation.agents.registry import (
-    HUGSIM,
-    SHIPPED_AGENTS,
-    AgentOptions,
-    agent_file,
-    agent_names,
-    default_agent,
-    open_agent,
-)
-from gsrain_engine.simulation.ground import recorded_route
-from gsrain_engine.simulation.metrics.summary import ScoredRun, compare_drives, metrics_table, results_table
-from gsrain_engine.simulation.obstacles import drivable_of
-from gsrain_engine.simulation.playback import RolloutPlayback
-from gsrain_engine.simulation.rollout import BACKGROUND, CameraImage, Rollout
-from gsrain_engine.simulation.rollout_io import write_rollout, write_rollout_parquet
-from gsrain_engine.simulation.scenario import Scenario
-from gsrain_engine.simulation.scenario_io import load_scenario
-from gsrain_engine.simulation.simulation import Simulation
-from gsrain_engine.simulation.video import RolloutVideo, render_rollout_video
-from gsrain_engine.sweep.expansion import software
+from gsrain_engine.simulation.agents.options import HUGSIM, SHIPPED_AGENTS, AgentOptions
+from gsrain_engine.simulation.scenario_settings import Scenario
+from gsrain_engine.simulation.vehicle_settings import BACKGROUND
 
 from .console import print, print_lines, progress_bar
 from .options import (
@@ -74,19 +42,25 @@ from .options import (
 from .outputs import check_writable, lock_outputs, write_numbers
 from .render import rainy_light
 
+if TYPE_CHECKING:
+    from gsrain_engine.render.provenance import PictureProvenance
+    from gsrain_engine.render.renderer import Renderer
+    from gsrain_engine.scene.scene import Scene
+    from gsrain_engine.simulation.agents.base import Agent
+    from gsrain_engine.simulation.metrics.summary import ScoredRun
+    from gsrain_engine.simulation.rollout import CameraImage, Rollout
+    from gsrain_engine.simulation.simulation import Simulation
+
+
 EXPORTS = {"parquet": "pyarrow", "ros2": "rosbags", "xosc": "scenariogeneration"}
 """Other formats of a run, and the package that writes each."""
-
-_EXTRAS = {"ros2": "recordings"}
-"""Extras of those packages that are not of the extra `drive`."""
 
 # Agents
 
 
-@Parameter(name="*")  # fields are options of the command, without a prefix
 @dataclass(frozen=True, kw_only=True)
-class DriverOptions(options_of(AgentOptions, "drive", topic="Driver")):
-    """Options about agents."""
+class ChosenAgents:
+    """Choice of agents, listed before their options."""
 
     agent: Annotated[
         list[str] | None,
@@ -97,6 +71,13 @@ class DriverOptions(options_of(AgentOptions, "drive", topic="Driver")):
             "Driver",
         ),
     ] = None
+
+
+@Parameter(name="*")  # fields are options of the command, without a prefix
+@dataclass(frozen=True, kw_only=True)
+class DriverOptions(options_of(AgentOptions, "drive", topic="Driver"), ChosenAgents):
+    """Options about agents."""
+
     hugsim_dir: Annotated[
         Path | None, option("Folder with the pipes of HUGSIM's protocol: UniAD, VAD or LTF drives.", topic="Driver")
     ] = None
@@ -125,6 +106,8 @@ class DriverOptions(options_of(AgentOptions, "drive", topic="Driver")):
 
     def names(self) -> list[str]:
         """Return the names of the chosen agents. Raises ValueError for unknown or contradictory ones."""
+        from gsrain_engine.simulation.agents.registry import agent_file, agent_names
+
         asked = list(dict.fromkeys(self.agent or []))
         if self.hugsim_dir is not None and asked not in ([], [HUGSIM]):
             raise ValueError("--hugsim-dir is for the agent hugsim alone; leave out --agent")
@@ -135,7 +118,7 @@ class DriverOptions(options_of(AgentOptions, "drive", topic="Driver")):
             raise ValueError(f"--agent {unknown}: there is only {', '.join(known)}, or a file FILE.py")
         return [HUGSIM] if self.hugsim_dir is not None else asked
 
-    def fitted(self, scenario: Scenario, scene: Scene) -> tuple[Scenario, Scene]:
+    def fitted(self, scenario: Scenario, scene: "Scene") -> "tuple[Scenario, Scene]":
         """Return scenario and scene with the rig and vehicle that HUGSIM's clients expect, if one is used."""
         if self.hugsim_dir is None:
             return scenario, scene
@@ -144,8 +127,10 @@ class DriverOptions(options_of(AgentOptions, "drive", topic="Driver")):
         return with_hugsim_rig(scenario, scene)
 
     @contextmanager
-    def opened(self) -> Generator[list[Agent]]:
+    def opened(self) -> "Generator[list[Agent]]":
         """Open all agents for the duration of the block; prints why a default agent was substituted."""
+        from gsrain_engine.simulation.agents.registry import default_agent, open_agent
+
         options = self.settings()
         names = self.names()
         if not names:
@@ -160,7 +145,7 @@ class DriverOptions(options_of(AgentOptions, "drive", topic="Driver")):
                 stack.callback(agents[-1].close)
             yield agents
 
-    def _hugsim(self) -> Agent:
+    def _hugsim(self) -> "Agent":
         """Open the agent of HUGSIM's protocol and start its client. Raises ClientError if the client ends at once."""
         if self.hugsim_dir is None:
             raise ValueError("--agent hugsim takes the folder of its pipes: --hugsim-dir DIR")
@@ -230,6 +215,18 @@ def drive(
     A folder gets each run as JSON lines (which the window opens), a table like the paper's, figures over time, a report
     and a video. Without SCENARIO.yaml a car is stationary in the lane of the built-in street.
     """
+    from gsrain_engine.backends import open_renderer
+    from gsrain_engine.rain.properties import extinction_note
+    from gsrain_engine.rain.wetness import with_wet_choice
+    from gsrain_engine.render.level_of_detail import lod_cut
+    from gsrain_engine.render.video import can_write_videos
+    from gsrain_engine.scene.open import load_sorted_scene, scene_hash, with_lod_trees
+    from gsrain_engine.simulation.metrics.summary import ScoredRun, compare_drives, results_table
+    from gsrain_engine.simulation.obstacles import drivable_of
+    from gsrain_engine.simulation.scenario_io import load_scenario
+    from gsrain_engine.simulation.simulation import Simulation
+    from gsrain_engine.sweep.expansion import software
+
     options = driver or DriverOptions()
     loaded = load_scenario(scenario or "stationary-lead")
     test: Scenario = (run or RunOptions()).settings(loaded)
@@ -316,6 +313,8 @@ def drive(
 
 def _check_scene(scene: str, scenario: str | None) -> None:
     """Raise ValueError with the folders searched if the scene of a scenario file is not there."""
+    from gsrain_engine.scene.built_in import DEFAULT_SCENE
+
     if scenario is None or scene == DEFAULT_SCENE or Path(scene).exists() or not Path(scenario).is_file():
         return
     folders = dict.fromkeys([Path(scenario).absolute().parent, Path.cwd()])
@@ -326,8 +325,11 @@ def _check_scene(scene: str, scenario: str | None) -> None:
     )
 
 
-def _drive(simulation: Simulation, agent: Agent) -> str | None:
+def _drive(simulation: "Simulation", agent: "Agent") -> str | None:
     """Let an agent drive; returns why it stopped early, or None."""
+    from gsrain_engine.simulation import simulation as driving
+    from gsrain_engine.simulation.agents.http import ClientError
+
     scenario = simulation.scenario
     title = f"{scenario.rain.intensity_mm_h:g} mm/h, {agent.name}"
     longest, made = round(scenario.duration_s / scenario.step_s), 0
@@ -357,6 +359,8 @@ def _rains(
     own: RainSettings, intensities: str | None, preset: str | None, options: StructOptions
 ) -> list[RainSettings]:
     """Return the rain settings of the runs, by default only the scenario's own."""
+    from gsrain_engine.rain.calibration import load_calibration
+
     base = own
     if preset is not None:
         base = msgspec.structs.replace(load_preset(preset), intensity_mm_h=own.intensity_mm_h, seed=own.seed)
@@ -415,12 +419,12 @@ class DriveFiles:
 
 def write_drives(
     files: DriveFiles,
-    runs: Sequence[ScoredRun],
-    scene: Scene,
-    renderer: Renderer | None,
+    runs: "Sequence[ScoredRun]",
+    scene: "Scene",
+    renderer: "Renderer | None",
     settings: Mapping[str, object],
     lod: Lod | None = None,
-    pictures: Mapping[str, PictureProvenance] | None = None,
+    pictures: "Mapping[str, PictureProvenance] | None" = None,
     *,
     films: bool,
 ) -> list[str]:
@@ -429,9 +433,13 @@ def write_drives(
     The renderer is for videos and for the images in bags of ROS 2. `settings` are listed in the report in addition to
     those in the runs; provenance.json has what the `pictures` that agents saw held, and those of the videos.
     """
+    from gsrain_engine.report.page import write_report
+    from gsrain_engine.simulation.ground import recorded_route
+
     # Matplotlib loads slowly: import it only after the first drive.
     from gsrain_engine.simulation.metrics.figures import kinematics_figure, write_figure
     from gsrain_engine.simulation.metrics.report import drive_report_page
+    from gsrain_engine.simulation.metrics.summary import compare_drives, metrics_table, results_table
 
     files.folder.mkdir(parents=True, exist_ok=True)
     shown = dict(pictures or {})
@@ -450,9 +458,13 @@ def write_drives(
 
 
 def _write_run(
-    files: DriveFiles, run: ScoredRun, scene: Scene, renderer: Renderer | None, lod: Lod | None, films: bool,
-    shown: dict[str, PictureProvenance],
+    files: DriveFiles, run: "ScoredRun", scene: "Scene", renderer: "Renderer | None", lod: Lod | None, films: bool,
+    shown: "dict[str, PictureProvenance]",
 ) -> list[Path]:  # fmt: skip
+    from gsrain_engine.simulation.playback import RolloutPlayback
+    from gsrain_engine.simulation.rollout_io import write_rollout
+    from gsrain_engine.simulation.video import RolloutVideo, render_rollout_video
+
     rollout, metrics = run.rollout, run.metrics
     assert rollout is not None
 
@@ -479,15 +491,18 @@ def _write_run(
     return written
 
 
-def _write_rerun(path: Path, run: ScoredRun, scene: Scene, renderer: Renderer | None, lod: Lod | None) -> None:
+def _write_rerun(path: Path, run: "ScoredRun", scene: "Scene", renderer: "Renderer | None", lod: Lod | None) -> None:
+    from gsrain_engine.simulation.ground import recorded_route
     from gsrain_engine.simulation.interop.rerun_file import write_rollout_rerun
+    from gsrain_engine.simulation.playback import RolloutPlayback
+    from gsrain_engine.simulation.video import RolloutVideo
 
     rollout = run.rollout
     assert rollout is not None
     images = () if renderer is None else RolloutVideo(RolloutPlayback(rollout, scene), renderer, lod).camera_images()
     with progress_bar("Recording", len(rollout.steps) if renderer else 1) as advance:
 
-        def counted() -> Generator[CameraImage]:
+        def counted() -> "Generator[CameraImage]":
             for image in images:
                 yield image
                 advance()
@@ -495,10 +510,12 @@ def _write_rerun(path: Path, run: ScoredRun, scene: Scene, renderer: Renderer | 
         write_rollout_rerun(path, rollout, scene, recorded_route(scene), counted())
 
 
-def _write_bag(path: Path, rollout: Rollout, scene: Scene, renderer: Renderer | None, lod: Lod | None) -> None:
+def _write_bag(path: Path, rollout: "Rollout", scene: "Scene", renderer: "Renderer | None", lod: Lod | None) -> None:
     from gsrain_engine.evaluation.lidar.sensor import SENSORS
     from gsrain_engine.simulation.interop.ros2_bag import write_rollout_bag
     from gsrain_engine.simulation.lidar_turns import rollout_lidar_turns
+    from gsrain_engine.simulation.playback import RolloutPlayback
+    from gsrain_engine.simulation.video import RolloutVideo
 
     played = RolloutPlayback(rollout, scene)
     cameras = () if renderer is None else played.rig.cameras
@@ -516,7 +533,9 @@ def _write_bag(path: Path, rollout: Rollout, scene: Scene, renderer: Renderer | 
         write_rollout_bag(path, rollout, counted(images), counted(rollout_lidar_turns(played, SENSORS["64"])))
 
 
-def _export(kind: str, path: Path, rollout: Rollout, scene: Scene) -> None:
+def _export(kind: str, path: Path, rollout: "Rollout", scene: "Scene") -> None:
+    from gsrain_engine.simulation.rollout_io import write_rollout_parquet
+
     if kind == "parquet":
         write_rollout_parquet(path, rollout)
     else:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from gsrain_engine.evaluation.lidar.sensor import SENSORS
+from gsrain_engine.evaluation.lidar.settings import SENSOR_NAMES
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.render.export_settings import ExportSettings
 
@@ -54,7 +54,8 @@ class RecordingLidar:
     """Options about the lidar of a recording."""
 
     lidar_sensor: Annotated[
-        str, option(f"Lidar of a recording: {', '.join(SENSORS)} (beams, or nm), or a YAML file.", topic="Recording")
+        str,
+        option(f"Lidar of a recording: {', '.join(SENSOR_NAMES)} (beams, or nm), or a YAML file.", topic="Recording"),
     ] = "64"
     full_intensity: Annotated[
         float | None,

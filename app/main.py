@@ -4,8 +4,8 @@ import logging
 import os
 import select
 import sys
-from collections.abc import Collection, Iterable, Sequence
-from contextlib import nullcontext, redirect_stdout
+from collections.abc import Generator, Iterable
+from contextlib import contextmanager, nullcontext, redirect_stdout
 from contextvars import copy_context
 from difflib import get_close_matches
 from importlib import metadata
@@ -16,7 +16,7 @@ from cyclopts import App, ArgumentCollection, CycloptsError, Parameter
 
 from gsrain_engine import plugins
 from gsrain_engine.optional_packages import MissingPackageError
-from gsrain_engine.plugins import EntryPointGroup, find_extensions
+from gsrain_engine.plugins import EntryPointGroup, Extension, find_extensions
 from gsrain_engine.safe_io.errors import MissingInputsError, sentence_of
 from ui.commands.table import BENCHMARKS, EVALUATIONS, SHELL_COMMANDS
 
@@ -117,7 +117,6 @@ evaluations = App(name="evaluate", help="Compare rendered images with recorded o
 app.command(evaluations)
 for name, (function, summary) in EVALUATIONS.items():
     evaluations.command(function, name=name, help=summary)
-BUILT_IN_COMMANDS = {plugins.COMMANDS: frozenset(app), plugins.EVALUATIONS: frozenset(evaluations)}
 
 
 def run(arguments: list[str]) -> int:
@@ -128,16 +127,13 @@ def run(arguments: list[str]) -> int:
         logging.getLogger(name).setLevel(logging.INFO)
     errors = Console(stderr=True, soft_wrap=True)
     try:
-        if arguments[:1] and arguments[0] not in BUILT_IN_COMMANDS[plugins.COMMANDS] - _HARMLESS:
-            add_installed(app, plugins.COMMANDS, arguments[:1])
-        if (suggestion := _misspelled(arguments)) is not None:
-            raise ValueError(suggestion)
-        if not _HARMLESS.intersection(arguments) and not _has_working_directory():
-            raise ValueError("the working directory was removed; cd to one that is there")
-        if arguments[:1] == ["evaluate"]:
-            add_installed(evaluations, plugins.EVALUATIONS, arguments[1:2])
-        # Run in a separate context, so that permissions of one command end with it.
-        return copy_context().run(_run, spelled_out(arguments))
+        with _plug_ins(arguments):
+            if (suggestion := _misspelled(arguments)) is not None:
+                raise ValueError(suggestion)
+            if not _HARMLESS.intersection(arguments) and not _has_working_directory():
+                raise ValueError("the working directory was removed; cd to one that is there")
+            # Run in a separate context, so that permissions of one command end with it.
+            return copy_context().run(_run, spelled_out(arguments))
     except (CycloptsError, ValueError, OSError, MemoryError, ImportError) as error:
         if isinstance(error, BrokenPipeError) and _nobody_reads():
             return NOBODY_READS
@@ -242,18 +238,45 @@ def spelled_out(arguments: Iterable[str]) -> list[str]:
 # Commands of plug-ins
 
 
-def add_installed(commands: App, point: EntryPointGroup, loaded: Collection[str]) -> None:
-    """Add the commands of a kind that plug-ins have; only those whose names are in `loaded` are imported.
+@contextmanager
+def _plug_ins(arguments: Sequence[str]) -> Generator[None]:
+    """Add the commands of plug-ins that these arguments may name while the block runs."""
+    word, following = [*arguments, "", ""][:2]
+    if word == evaluations.name[0]:
+        with installed(evaluations, plugins.EVALUATIONS, following):
+            yield
+    elif word in SHELL_COMMANDS:
+        yield
+    else:
+        with installed(app, plugins.COMMANDS, word):
+            yield
 
-    Raises `ExtensionError` with the reason if one of these is unusable.
+
+@contextmanager
+def installed(commands: App, point: EntryPointGroup, asked: str = "") -> Generator[None]:
+    """Add the commands of a kind that plug-ins have while the block runs; only the one of the name `asked` is loaded.
+
+    Raises `ExtensionError` with the reason if that one is unusable, ValueError if no evaluation has that name.
     """
-    ours = BUILT_IN_COMMANDS[point]
-    for name in set(commands) - ours:  # from an earlier run
-        del commands[name]
-    for each in find_extensions(point):
-        if each.name in ours:
-            continue
-        if each.name in loaded:
-            commands.command(each.load_callable(), name=each.name)
-        else:  # it appears only in the help
-            commands.command(lambda: None, name=each.name, help=each.summary)
+    added = [each for each in find_extensions(point) if each.name not in commands]
+    names = [each for each in (*commands, *(each.name for each in added)) if not each.startswith("-")]
+    if commands is evaluations and asked and not asked.startswith("-") and asked not in names:
+        like = get_close_matches(asked, names, 1)
+        hint = f"did you mean {like[0]}?" if like else f"there is {', '.join(sorted(names))}"
+        raise ValueError(f"evaluate {asked}: no such evaluation; {hint}")
+    try:
+        for each in added:
+            if each.name == asked:
+                commands.command(each.load_callable(), name=each.name)
+            else:  # it appears only in the help
+                commands.command(each.place, name=each.name, help=_summary(each))
+        yield
+    finally:
+        for name in {each.name for each in added}.intersection(commands):
+            del commands[name]
+
+
+def _summary(extension: Extension) -> str:
+    """Sentence about a command, and the package that it is of, if that is another one."""
+    origin = "" if extension.package == app.name[0] else f"Of the package {extension.package} {extension.version}."
+    return " ".join(filter(None, (extension.summary, origin)))

@@ -5,7 +5,7 @@ import math
 import os
 import re
 import sys
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Collection, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field, fields, is_dataclass, make_dataclass, replace
@@ -122,7 +122,8 @@ BACKEND = option("Renderer; auto is the fastest here: OpenGL on a GPU, else the 
 # Options made from the field table
 
 Settings = TypeVar("Settings")
-Passed, Returned = ParamSpec("Passed"), TypeVar("Returned")
+Passed = ParamSpec("Passed")
+Returned = TypeVar("Returned")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,14 +174,15 @@ class StructOptions:
 
 def options_of(
     kind: type,
-    command: str,
+    command: str = "",
     default: str = "Default: {}.",
     defaults: Mapping[str, str] | None = None,
     *,
     topic: str,
+    names: Collection[str] = (),
     fixed: Mapping[str, str] | None = None,
 ) -> type[StructOptions]:
-    """Make the options of a command from the fields of a settings struct that list it in `commands`.
+    """Make the options of a command from fields of a settings struct: those that list it in `commands`, or `names`.
 
     Args:
         kind: The struct; `gsrain_engine.fields` describes its metadata.
@@ -188,11 +190,12 @@ def options_of(
         default: Sentence about the default for the help; {} is the struct's.
         defaults: Defaults of this command by field, as text.
         topic: Heading in the help of fields without one of their own.
+        names: Names of the fields, in place of those that list the command.
         fixed: Fields that another option of the command sets, and that option: --set refuses them.
     """
     made: dict[tuple[str, ...], tuple[Any, ...]] = {}
     for each in fields_of(kind):
-        if command in each.commands:
+        if each.name in names or command in each.commands:
             text = (defaults or {}).get(each.name, _spelled(each, each.default_text))
             has_ending = (text or "{}" not in default) and "on" not in each.extra
             ending = default.format(text) if has_ending else ""

@@ -4,32 +4,29 @@ from collections.abc import Sequence
 from dataclasses import asdict, is_dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
-import numpy as np
-from jaxtyping import Float64
 
-from gsrain_engine.disdrometer.file_summary import MeasuredFile, MeasurementSummary, open_disdrometer_files
-from gsrain_engine.disdrometer.fit import RatesDisagreeError, calibrate_files
-from gsrain_engine.disdrometer.fit_models import FitOptions, FittedCalibration, FittedRow, fit_sizes
-from gsrain_engine.disdrometer.fit_plot import check_plot_name, write_plot
-from gsrain_engine.disdrometer.measurement import DisdrometerMeasurement
-from gsrain_engine.disdrometer.open import require_netcdf
-from gsrain_engine.disdrometer.tables import load_columns
-from gsrain_engine.disdrometer.virtual import VirtualDisdrometer
+from gsrain_engine.disdrometer.fit_settings import FitOptions
 from gsrain_engine.rain.available import check_available
-from gsrain_engine.rain.calibration import save_calibration
-from gsrain_engine.rain.properties import DropSizes
 from gsrain_engine.rain.settings import RainSettings, load_preset
-from gsrain_engine.rain.simulation import RainSimulation
-from gsrain_engine.report.interval import Interval
-from gsrain_engine.report.table import Cell, Table, columns
 
 from .console import Console, print, print_lines, progress_bar
 from .options import JsonFile, Preset, check_within, flag, option, options_of, takes_set
 from .outputs import check_ending, check_writable, write_numbers
 from .scene import Columns
+
+if TYPE_CHECKING:
+    import numpy as np
+    from jaxtyping import Float64
+
+    from gsrain_engine.disdrometer.file_summary import MeasuredFile, MeasurementSummary
+    from gsrain_engine.disdrometer.fit_models import FittedCalibration, FittedRow
+    from gsrain_engine.disdrometer.measurement import DisdrometerMeasurement
+    from gsrain_engine.rain.properties import DropSizes
+    from gsrain_engine.report.table import Cell
+
 
 _COLUMNS = 120  # table width, also if the output is a file
 
@@ -58,6 +55,12 @@ def calibrate(
     to 1.4, or r below 0.9: snow, insects, other classes), nothing is fitted without --force. `gsrain info FILE` prints
     the same.
     """
+    from gsrain_engine.disdrometer.file_summary import open_disdrometer_files
+    from gsrain_engine.disdrometer.fit import RatesDisagreeError, calibrate_files
+    from gsrain_engine.disdrometer.fit_plot import check_plot_name, write_plot
+    from gsrain_engine.disdrometer.tables import load_columns
+    from gsrain_engine.rain.calibration import save_calibration
+
     options = (fit or CalibrationOptions()).settings()
     if output.suffix not in (".yaml", ".yml"):
         raise ValueError(f"{output}: expected a name that ends with .yaml")
@@ -87,7 +90,7 @@ def calibrate(
 
 
 def _numbers(
-    fitted: FittedCalibration, measured: list[MeasuredFile], found: list[MeasurementSummary]
+    fitted: "FittedCalibration", measured: "list[MeasuredFile]", found: "list[MeasurementSummary]"
 ) -> dict[str, Any]:
     check, ratios = fitted.rate_check, fitted.axis_ratios
     velocity = fitted.calibration.velocity
@@ -119,7 +122,7 @@ def _numbers(
     }
 
 
-def _row_numbers(each: FittedRow) -> dict[str, Any]:
+def _row_numbers(each: "FittedRow") -> dict[str, Any]:
     return msgspec.to_builtins(each.row) | {
         "moments": {"shape": each.moments_shape, "scale_mm": each.moments_scale_mm},
         "implied_mm_h": each.implied_mm_h,
@@ -133,7 +136,10 @@ def _plain(report: Any) -> dict[str, Any]:
     return asdict(report) if is_dataclass(report) and not isinstance(report, type) else msgspec.to_builtins(report)
 
 
-def _print(fitted: FittedCalibration, files: int) -> None:
+def _print(fitted: "FittedCalibration", files: int) -> None:
+    from gsrain_engine.report.interval import Interval
+    from gsrain_engine.report.table import Table, columns
+
     console = Console(width=_COLUMNS, highlight=False, markup=False)
     if files > 1 and fitted.rate_check is not None:
         console.print(f"all {files} files: {fitted.rate_check.line}")
@@ -166,7 +172,7 @@ def _print(fitted: FittedCalibration, files: int) -> None:
 
 # gsrain disdrometer
 
-_ROWS_MM = np.array([0.1, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0])
+_ROWS_MM = 0.1, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0
 _MAX_S, _MAX_RECORDS = 86_400.0, 10_000
 
 _RAIN = RainSettings(intensity_mm_h=8.5)  # without options
@@ -190,6 +196,10 @@ def disdrometer(
 
     `gsrain calibrate` reads what -o writes, so that the simulation can be fitted like a measurement.
     """
+    from gsrain_engine.disdrometer.open import require_netcdf
+    from gsrain_engine.disdrometer.virtual import VirtualDisdrometer
+    from gsrain_engine.rain.simulation import RainSimulation
+
     times = _times(seconds, record)
     check_ending("--output", output, (".nc",))
     if output is not None:
@@ -217,8 +227,10 @@ def disdrometer(
         print(f"{output}: {len(counts)} spectra")
 
 
-def _times(seconds: float, record: float) -> Float64[np.ndarray, " records_and_one"]:
+def _times(seconds: float, record: float) -> "Float64[np.ndarray, ' records_and_one']":
     """Return the bounds of the records; the last one may be shorter."""
+    import numpy as np
+
     check_within("--seconds", seconds, 0.001, _MAX_S, "s")
     check_within("--record", record, 0.001, _MAX_S, "s")
     whole = round(seconds / record, 6)
@@ -227,7 +239,7 @@ def _times(seconds: float, record: float) -> Float64[np.ndarray, " records_and_o
     return np.append(np.arange(max(1, np.ceil(whole))) * record, seconds)
 
 
-def _disdrometer_numbers(counted: DisdrometerMeasurement) -> dict[str, Any]:
+def _disdrometer_numbers(counted: "DisdrometerMeasurement") -> dict[str, Any]:
     state, fitted = counted.state, _fitted_sizes(counted)
     return {
         "requested_mm_h": state.intensity_mm_h,
@@ -258,14 +270,22 @@ def _disdrometer_numbers(counted: DisdrometerMeasurement) -> dict[str, Any]:
     }
 
 
-def _fitted_sizes(counted: DisdrometerMeasurement) -> DropSizes | None:
+def _fitted_sizes(counted: "DisdrometerMeasurement") -> "DropSizes | None":
     """Return the gamma law of the counted drops; None if they occupy fewer than three classes."""
+    import numpy as np
+
+    from gsrain_engine.disdrometer.fit_models import fit_sizes
+
     edges_mm = counted.spectra.diameter_edges_mm
     in_air, _ = np.histogram(counted.diameters_mm, edges_mm, weights=counted.in_air_m3)
     return fit_sizes(in_air, edges_mm) if np.count_nonzero(in_air) >= 3 else None
 
 
-def _spectrum(counted: DisdrometerMeasurement, edges_mm: Float64[np.ndarray, " n_and_one"]) -> dict[str, list[float]]:
+def _spectrum(
+    counted: "DisdrometerMeasurement", edges_mm: "Float64[np.ndarray, ' n_and_one']"
+) -> dict[str, list[float]]:
+    import numpy as np
+
     drops, _ = np.histogram(counted.diameters_mm, edges_mm, weights=counted.counts.sum(axis=0).astype(float))
     in_air, _ = np.histogram(counted.diameters_mm, edges_mm, weights=counted.in_air_m3)
     return {
@@ -275,7 +295,11 @@ def _spectrum(counted: DisdrometerMeasurement, edges_mm: Float64[np.ndarray, " n
     }
 
 
-def _print_disdrometer(counted: DisdrometerMeasurement) -> None:
+def _print_disdrometer(counted: "DisdrometerMeasurement") -> None:
+    import numpy as np
+
+    from gsrain_engine.report.table import Table, columns
+
     console, state = Console(highlight=False, soft_wrap=True), counted.state
     asked = f"{state.intensity_mm_h:g} mm/h asked"
     if state.rain_class:
@@ -299,7 +323,7 @@ def _print_disdrometer(counted: DisdrometerMeasurement) -> None:
     if fitted is not None:
         law += f"; {fitted.shape:.4g}, {fitted.scale_mm:.3g} mm fitted to the counted drops"
     console.print(law)
-    spectrum = _spectrum(counted, _ROWS_MM)
+    spectrum = _spectrum(counted, np.array(_ROWS_MM))
     bins = (f"{low:g} - {high:g}" for low, high in pairwise(_ROWS_MM))
     rows = [*zip(bins, spectrum["drops"], spectrum["drops_per_m3_mm"], strict=True)]
     titled = columns({"diameter mm": "", "drops": ",.0f", "N(D) 1/(m³ mm)": ".4g"})

@@ -3,46 +3,23 @@
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
-from PIL import Image
-
-from gsrain_engine.datasets.bags.containers import recognizes_bag
-from gsrain_engine.datasets.bags.reader import read_bag_recording
-from gsrain_engine.datasets.capture import Capture, readable_images
-from gsrain_engine.datasets.open_capture import capture_format, capture_hint, open_capture
-from gsrain_engine.datasets.open_source import names_scene
-from gsrain_engine.datasets.pose_check import PoseCheck, check_poses
-from gsrain_engine.datasets.summary import CaptureSummary, contact_sheet, summarized
-from gsrain_engine.editor.edits.actors import drive_along, drive_along_own_path
-from gsrain_engine.editor.edits.level import level_from_ground, set_camera_height
-from gsrain_engine.editor.viewport.camera import find_scene_core
-from gsrain_engine.render.images import write_image
-from gsrain_engine.report.table import Cell, Table, columns
+from gsrain_engine.choices import READ_FORMATS, WRITTEN_FORMATS
 from gsrain_engine.safe_io.file_kinds import find_file_kind
-from gsrain_engine.scene.camera_path import CameraPath
-from gsrain_engine.scene.camera_path_edit import WALKING_M_S, with_constant_speed
-from gsrain_engine.scene.camera_path_io import read_camera_path
-from gsrain_engine.scene.formats.registry import FORMATS, lost_in_file, unknown_format
-from gsrain_engine.scene.formats.scene_files import (
-    INNER_SCENE,
-    names_scene_folder,
-    write_scene,
-)
-from gsrain_engine.scene.lod_tree import MIN_GAUSSIANS
-from gsrain_engine.scene.open import (
-    load_scene,
-    load_sorted_scene,
-    scene_folder_of,
-    sorted_with_trees,
-)
-from gsrain_engine.scene.scene import Actor, Layer, Scene, bounds
-from gsrain_engine.scene.transforms import with_wetness_baked
 
 from .console import counted, print, print_lines, progress_bar, run_with_progress, wide_console
 from .options import AllowOutside, JsonFile, Orientation, check_within, flag, let_names_lead_outside, option
 from .outputs import check_image, check_scene_target, check_writable, lock_outputs, write_numbers
+
+if TYPE_CHECKING:
+    from gsrain_engine.datasets.capture import Capture
+    from gsrain_engine.datasets.pose_check import PoseCheck
+    from gsrain_engine.datasets.summary import CaptureSummary
+    from gsrain_engine.report.table import Cell
+    from gsrain_engine.scene.camera_path import CameraPath
+    from gsrain_engine.scene.scene import Actor, Layer, Scene
+
 
 Columns = Annotated[
     Path | None, option("YAML file that describes the columns of a disdrometer table of unknown format.")
@@ -67,6 +44,11 @@ def info(
     Of a disdrometer file: instrument, records, drops, rain, rejected records with reasons, and agreement of its rates.
     Of any other file, such as a camera path or a checkpoint: its kind, by its content, and what to do with it.
     """
+    from gsrain_engine.datasets.open_capture import capture_format, capture_hint
+    from gsrain_engine.datasets.open_source import names_scene
+    from gsrain_engine.scene.formats.scene_files import INNER_SCENE
+    from gsrain_engine.scene.open import scene_folder_of
+
     check_image("--overlay", overlay)
     check_writable(overlay, json)
     let_names_lead_outside(allow_outside)
@@ -93,6 +75,8 @@ def info(
 
 def _scene_info(scene: str) -> dict[str, Any]:
     """Print a scene's contents; returns the printed numbers."""
+    from gsrain_engine.scene.open import load_scene
+
     opened = load_scene(scene)
     rows = [_member(each) for each in opened.members]
     numbers = {
@@ -113,7 +97,11 @@ def _scene_info(scene: str) -> dict[str, Any]:
     return numbers
 
 
-def _member(member: Layer | Actor) -> dict[str, Any]:
+def _member(member: "Layer | Actor") -> dict[str, Any]:
+    import numpy as np
+
+    from gsrain_engine.scene.scene import Layer, bounds
+
     gaussians, marks = member.gaussians, count_flagged([member])
     low, high = bounds(gaussians) if len(gaussians) else (np.zeros(3), np.zeros(3))
     return {
@@ -129,8 +117,12 @@ def _member(member: Layer | Actor) -> dict[str, Any]:
     }
 
 
-def _extent(scene: Scene) -> dict[str, Any]:
+def _extent(scene: "Scene") -> dict[str, Any]:
     """Return the extent of the dense core and of the shell around it, in the world (meters, z up)."""
+    import numpy as np
+
+    from gsrain_engine.editor.viewport.camera import find_scene_core
+
     core = find_scene_core(scene)
     low, high = ([round(float(v), 3) for v in corner] for corner in (core.low, core.high))
     numbers: dict[str, Any] = {"core_m": {"minimum": low, "maximum": high}, "shell": None}
@@ -141,7 +133,9 @@ def _extent(scene: Scene) -> dict[str, Any]:
     return numbers
 
 
-def _print(scene: Scene, numbers: dict[str, Any]) -> None:
+def _print(scene: "Scene", numbers: dict[str, Any]) -> None:
+    from gsrain_engine.report.table import Table, columns
+
     console = wide_console()
     flags = flagged_text({kind: numbers[kind] for kind in ("deleted", "hidden")})
     size = f"{numbers['memory_bytes'] / 2**20:.1f} MiB"
@@ -173,7 +167,7 @@ def _print(scene: Scene, numbers: dict[str, Any]) -> None:
     print_lines(Table("Members", titled, rows).text)
 
 
-def count_flagged(members: Sequence[Layer | Actor]) -> dict[str, int]:
+def count_flagged(members: "Sequence[Layer | Actor]") -> dict[str, int]:
     """Count deleted Gaussians, and hidden ones that are not deleted."""
     deleted = hidden = 0
     for flags in (member.marks for member in members):
@@ -195,6 +189,7 @@ def disdrometer_info(file: Path, columns: Path | None) -> dict[str, Any]:
     from gsrain_engine.disdrometer.file_summary import open_disdrometer_file
     from gsrain_engine.disdrometer.spectra import UnknownKindError
     from gsrain_engine.disdrometer.tables import load_columns
+    from gsrain_engine.scene.formats.registry import unknown_format
 
     try:
         measured = open_disdrometer_file(file, columns and load_columns(columns)).measured()
@@ -215,6 +210,14 @@ def capture_info(path: Path, check: bool, overlay: Path | None) -> dict[str, Any
 
     Returns the printed numbers. Raises `CaptureError`.
     """
+    from PIL import Image
+
+    from gsrain_engine.datasets.bags.containers import recognizes_bag
+    from gsrain_engine.datasets.bags.reader import read_bag_recording
+    from gsrain_engine.datasets.open_capture import capture_format, open_capture
+    from gsrain_engine.datasets.summary import contact_sheet, summarized
+    from gsrain_engine.render.images import write_image
+
     found = capture_format(path)
     others: tuple[str, ...] = ()
     if recognizes_bag(path):
@@ -238,7 +241,10 @@ def capture_info(path: Path, check: bool, overlay: Path | None) -> dict[str, Any
     return numbers | ({"checks": [asdict(each) for each in checks]} if check else {})
 
 
-def _checked(capture: Capture) -> tuple[Capture, tuple[PoseCheck, ...]]:
+def _checked(capture: "Capture") -> "tuple[Capture, tuple[PoseCheck, ...]]":
+    from gsrain_engine.datasets.capture import readable_images
+    from gsrain_engine.datasets.pose_check import check_poses
+
     with progress_bar("Checking", 2.0) as advance:
         done = 0.0
 
@@ -253,7 +259,9 @@ def _checked(capture: Capture) -> tuple[Capture, tuple[PoseCheck, ...]]:
         return capture, checks
 
 
-def _print_capture(summary: CaptureSummary, kind: str, checks: tuple[PoseCheck, ...], checked: bool) -> None:
+def _print_capture(summary: "CaptureSummary", kind: str, checks: "tuple[PoseCheck, ...]", checked: bool) -> None:
+    from gsrain_engine.report.table import Table, columns
+
     console = wide_console()
     lasts = f" over {summary.seconds:.1f} s" if summary.seconds >= 0.05 else ""
     console.print(f"{summary.name}: {kind}, {counted(summary.views, 'view')}{lasts}")
@@ -290,7 +298,7 @@ def _print_capture(summary: CaptureSummary, kind: str, checks: tuple[PoseCheck, 
 _CAMERA_COLUMNS = "camera", "views", "size", "focal length px", "field of view", "lens"
 
 
-def _places(summary: CaptureSummary) -> str:
+def _places(summary: "CaptureSummary") -> str:
     sizes = [high - low for low, high in zip(summary.minimum, summary.maximum, strict=True)]
     if max(sizes) < 1e-6:
         return "the camera stood still"
@@ -302,13 +310,9 @@ def _places(summary: CaptureSummary) -> str:
 # gsrain convert
 
 
-_READ = " ".join(each.suffix for each in FORMATS)
-_WRITTEN = " ".join(each.suffix for each in FORMATS if each.write is not None)
-
-
 def convert(
-    source: Annotated[str, option(f"Scene file ({_READ}) or folder.")],
-    target: Annotated[Path, option(f"File to write ({_WRITTEN}), or a folder for a scene folder.")],
+    source: Annotated[str, option(f"Scene file ({' '.join(READ_FORMATS)}) or folder.")],
+    target: Annotated[Path, option(f"File to write ({' '.join(WRITTEN_FORMATS)}), or a folder for a scene folder.")],
     /,
     *,
     wetness: Annotated[
@@ -337,6 +341,13 @@ def convert(
     A single file gets all visible layers, and actors at their place at time 0, in meters and its format's axes; a .usdz
     keeps layers, tracks and rigs. One line names what the file leaves out.
     """
+    from gsrain_engine.editor.edits.level import level_from_ground, set_camera_height
+    from gsrain_engine.scene.formats.registry import lost_in_file
+    from gsrain_engine.scene.formats.scene_files import names_scene_folder, write_scene
+    from gsrain_engine.scene.lod_tree import MIN_GAUSSIANS
+    from gsrain_engine.scene.open import load_scene, load_sorted_scene, sorted_with_trees
+    from gsrain_engine.scene.transforms import with_wetness_baked
+
     check_within("--wetness", wetness, 0, 1)
     check_scene_target(target)
     check_writable(json)
@@ -380,8 +391,11 @@ def convert(
     write_numbers(json, {"gaussians": count, "left_out": left_out})
 
 
-def _driven(scene: Scene, drive: str, speed: float | None) -> Scene:
+def _driven(scene: "Scene", drive: str, speed: float | None) -> "Scene":
     """Let an ego vehicle drive along a path, at its own times, or at the given or assumed speed."""
+    from gsrain_engine.editor.edits.actors import drive_along, drive_along_own_path
+    from gsrain_engine.scene.camera_path_io import read_camera_path
+
     path = scene.path if drive == "own" else read_camera_path(drive, scene)
     if path is None:
         return drive_along_own_path(scene)  # raises the reason
@@ -398,7 +412,7 @@ def _driven(scene: Scene, drive: str, speed: float | None) -> Scene:
 class TimedPath:
     """A camera path with its speed."""
 
-    path: CameraPath
+    path: "CameraPath"
     line: str | None
     """One line for people, if the speed is not the path's own."""
     speed_m_s: float | None
@@ -407,12 +421,14 @@ class TimedPath:
 
 
 def timed_path(
-    path: CameraPath, speed_m_s: float | None, metres_per_unit: float = 1.0, *, is_still: bool = False
+    path: "CameraPath", speed_m_s: float | None, metres_per_unit: float = 1.0, *, is_still: bool = False
 ) -> TimedPath:
     """Time a path at the given speed, by its own times, or at walking pace; in a still the latter camera is at rest.
 
     Raises ValueError, which names the option, for a speed out of bounds.
     """
+    from gsrain_engine.scene.camera_path_edit import WALKING_M_S, with_constant_speed
+
     if speed_m_s is not None:
         check_within("--speed", speed_m_s, 1e-3, 1e3, "m/s")
         return TimedPath(with_constant_speed(path, speed_m_s / metres_per_unit, is_timed=True), None, speed_m_s, False)

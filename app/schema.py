@@ -3,8 +3,11 @@
 import json
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
+import msgspec
+
+from gsrain_engine import plugins
 from gsrain_engine.fields import schema_of
 from gsrain_engine.report.numbers import write_text
 
@@ -16,7 +19,6 @@ SETTINGS = {
     "rain": ("gsrain_engine.rain.settings:RainSettings", "Rain presets"),
     "calibrations": ("gsrain_engine.rain.calibration:Calibration", "Rain calibrations"),
     "sensors": ("gsrain_engine.scene.sensor:Sensor", "Image sensors and lenses"),
-    "real_rain": ("gsrain_engine.evaluation.real_rain:RealRainConditions", "Conditions of recorded rain"),
     "scenarios": ("gsrain_engine.simulation.scenario:Scenario", "Scenarios of `gsrain drive`"),
     "sweeps": ("gsrain_engine.sweep.settings:Sweep", "Sweeps"),
     "reconstruct": ("gsrain_engine.training.settings:TrainingSettings", "Reconstruction"),
@@ -26,13 +28,19 @@ SETTINGS = {
 }
 """Type and title of each kind of settings file, by its folder in sample_configs."""
 
-Kind = Literal[*SETTINGS]
+Kind = Literal[*SETTINGS, *(each.name for each in plugins.find_extensions(plugins.SETTINGS))]
 
 
-def settings_type(kind: str) -> Any:
-    """Return the type of a kind of settings file."""
-    module, _, name = SETTINGS[kind][0].partition(":")
-    return getattr(import_module(module), name)
+def settings_type(kind: str) -> type[msgspec.Struct]:
+    """Return the type of a kind of settings file. Raises `ExtensionError` if that of a package is unusable."""
+    if kind in SETTINGS:
+        module, _, name = SETTINGS[kind][0].partition(":")
+        return getattr(import_module(module), name)
+    extension = next(each for each in plugins.find_extensions(plugins.SETTINGS) if each.name == kind)
+    found = extension.load(type)
+    if not issubclass(found, msgspec.Struct):
+        raise extension.unfit(f"is the class {found.__name__}, not a struct of msgspec")
+    return found
 
 
 def schema(

@@ -7,17 +7,11 @@ import time
 from collections.abc import Generator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
 
-from gsrain_engine.report.table import Table
 from gsrain_engine.safe_io.errors import MissingInputsError
-from gsrain_engine.sweep.executors import DaskCluster, Executor, LocalPool, SerialExecutor
-from gsrain_engine.sweep.expansion import Job, Shard, jobs_of
-from gsrain_engine.sweep.report import write_tables
-from gsrain_engine.sweep.results import SweepFolder
-from gsrain_engine.sweep.run import SweepRun, agent_codes, missing_clients, run_sweep
 from gsrain_engine.sweep.settings import DriveSweep, Sweep, load_sweep, sweep_names
 from gsrain_engine.trusted_code import check_trusted
 
@@ -36,6 +30,14 @@ from .options import (
     with_trust,
 )
 from .outputs import check_writable, lock_outputs, write_numbers
+
+if TYPE_CHECKING:
+    from gsrain_engine.report.table import Table
+    from gsrain_engine.sweep.executors import Executor
+    from gsrain_engine.sweep.expansion import Job
+    from gsrain_engine.sweep.results import SweepFolder
+    from gsrain_engine.sweep.run import SweepRun
+
 
 SOME_FAILED, INTERRUPTED = 1, 130
 SweepOptions = options_of(
@@ -65,6 +67,10 @@ def sweep(
     files run only with --trust, or once you have allowed their content in a terminal. Into pipes and files, progress is
     a line per finished job.
     """
+    from gsrain_engine.sweep.expansion import Shard, jobs_of
+    from gsrain_engine.sweep.report import write_tables
+    from gsrain_engine.sweep.run import SweepRun, agent_codes, missing_clients
+
     started = time.perf_counter()
     settings, folder = _settings(sweep, options or SweepOptions())
     resources = _check_engine(workers, dask, dask_resources)
@@ -101,8 +107,10 @@ def sweep(
     return SOME_FAILED if failed else 0
 
 
-def _settings(name: str, options: StructOptions) -> tuple[Sweep, SweepFolder]:
+def _settings(name: str, options: StructOptions) -> "tuple[Sweep, SweepFolder]":
     """Return a sweep with the options, and its folder; raises ValueError for options that it does not have."""
+    from gsrain_engine.sweep.results import SweepFolder
+
     chosen = options.changes()
     output, loaded = chosen.pop("output", None), load_sweep(name)
     if wrong := [each for each in chosen if each not in loaded.__struct_fields__]:
@@ -113,8 +121,10 @@ def _settings(name: str, options: StructOptions) -> tuple[Sweep, SweepFolder]:
     return settings, SweepFolder(Path(str(output or settings.output)))
 
 
-def _run(jobs: Sequence[Job], engine: Executor, folder: SweepFolder, stack: ExitStack) -> SweepRun | None:
+def _run(jobs: "Sequence[Job]", engine: "Executor", folder: "SweepFolder", stack: ExitStack) -> "SweepRun | None":
     """Run jobs, with a line for each; returns None if somebody stops them."""
+    from gsrain_engine.sweep.run import run_sweep
+
     try:
         stack.enter_context(_sigterm_as_ctrl_c())
         work = stack.enter_context(closing(run_sweep(jobs, engine, folder)))
@@ -136,7 +146,9 @@ def _check_engine(workers: int | None, dask: str | None, resources: str) -> dict
         raise ValueError(f"--dask-resources {resources}: expected NAME=AMOUNT, such as GPU=1") from None
 
 
-def _engine(workers: int | None, dask: str | None, resources: dict[str, float], stack: ExitStack) -> Executor:
+def _engine(workers: int | None, dask: str | None, resources: dict[str, float], stack: ExitStack) -> "Executor":
+    from gsrain_engine.sweep.executors import DaskCluster, LocalPool, SerialExecutor
+
     if dask is None:
         return SerialExecutor() if workers == 0 else LocalPool(workers)
     cluster = DaskCluster(dask, resources)
@@ -156,7 +168,7 @@ def _sigterm_as_ctrl_c() -> Generator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-def _print(folder: SweepFolder, numbers: dict[str, Any], tables: Sequence[Table]) -> None:
+def _print(folder: "SweepFolder", numbers: dict[str, Any], tables: "Sequence[Table]") -> None:
     for table in tables:
         print(f"{table.title}:")
         print_lines(f"{table.text}\n")

@@ -5,14 +5,8 @@ from typing import Annotated
 
 import msgspec
 
-from gsrain_engine.datasets.image_override import with_images
-from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.optional_packages import require_package
-from gsrain_engine.recolor.problem import RecolorSettings
-from gsrain_engine.recolor.recolor import RecolorOptions, recolor_to_capture
-from gsrain_engine.report.page import write_report
-from gsrain_engine.scene.formats.scene_files import write_scene
-from gsrain_engine.scene.open import load_scene
+from gsrain_engine.recolor.settings import RecolorOptions, RecolorSettings
 from gsrain_engine.training.settings import TrainingSettings, load_settings, settings_names
 
 from .console import print, print_lines, run_with_progress
@@ -107,6 +101,13 @@ def recolor(
     json: JsonFile = None,
 ) -> None:
     """Solve a scene's colors for images; its geometry stays. The clear colors stay too, unless replaced."""
+    from gsrain_engine.datasets.image_override import with_images
+    from gsrain_engine.datasets.open_capture import open_capture
+    from gsrain_engine.recolor.recolor import recolor_to_capture
+    from gsrain_engine.report.page import write_report
+    from gsrain_engine.scene.formats.scene_files import write_scene
+    from gsrain_engine.scene.open import load_scene
+
     let_names_lead_outside(allow_outside)
     options = (run or RunOptions()).settings(colors=(solver or SolverOptions()).changes())
     check_scene_folder(output)

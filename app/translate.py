@@ -7,31 +7,19 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from gsrain_engine.appearance import output_folder
-from gsrain_engine.appearance.base import (
-    TransferSettings,
-)
-from gsrain_engine.appearance.finetune.dataset import ImageSettings
 from gsrain_engine.appearance.finetune.settings import (
     FinetuneResult,
     FinetuneTask,
     FinetuningSettings,
+    ImageSettings,
     finetuning_names,
     load_finetuning,
 )
-from gsrain_engine.appearance.registry import find_method, missing_for_transfer
-from gsrain_engine.appearance.session import source_views, transfer_views
+from gsrain_engine.appearance.settings import TransferSettings
 from gsrain_engine.appearance.view_choice import ViewChoice
-from gsrain_engine.datasets.open_capture import open_capture
-from gsrain_engine.datasets.open_source import missing_source, names_scene
-from gsrain_engine.editor.finetune import train_transfer as work
 from gsrain_engine.optional_packages import require_package
 from gsrain_engine.rain.settings import HEAVIEST_MM_H
-from gsrain_engine.rain.wetness import wetness
-from gsrain_engine.render.images import write_image
-from gsrain_engine.report.table import Table, columns
 from gsrain_engine.safe_io.errors import MissingInputsError
-from gsrain_engine.scene.open import load_scene
 
 from .console import Console, print, print_lines, run_with_progress
 from .options import (
@@ -78,6 +66,8 @@ class MethodOptions(options_of(TransferSettings, "transfer", topic="Method")):
 
     def checked(self) -> TransferSettings:
         """Return the settings. Raises ValueError, which names the option, for invalid ones."""
+        from gsrain_engine.rain.wetness import wetness
+
         values: dict[str, Any] = {}
         if self.no_normals:
             if self.normals not in (None, "depth", "none"):
@@ -92,6 +82,9 @@ class MethodOptions(options_of(TransferSettings, "transfer", topic="Method")):
 
     def check(self, settings: TransferSettings, sources: Sequence[Path | str | None]) -> None:
         """Raise `MissingInputsError` early with all files, packages, scenes and captures that are missing."""
+        from gsrain_engine.appearance.registry import find_method, missing_for_transfer
+        from gsrain_engine.datasets.open_source import missing_source
+
         missing: list[str] = []
         try:
             if find_method(self.method).needs_torch:
@@ -123,6 +116,13 @@ def transfer(
 
     DIR/clear holds the original views: another program may change them, and --method images uses its results.
     """
+    from gsrain_engine.appearance import output_folder
+    from gsrain_engine.appearance.session import source_views, transfer_views
+    from gsrain_engine.datasets.open_capture import open_capture
+    from gsrain_engine.datasets.open_source import names_scene
+    from gsrain_engine.render.images import write_image
+    from gsrain_engine.scene.open import load_scene
+
     let_names_lead_outside(allow_outside)
     chosen = method or MethodOptions()
     settings, choice = chosen.checked(), (views or ViewChoiceOptions()).settings()
@@ -170,6 +170,8 @@ def train_transfer(
 
     Weights, programs and images that are missing are all named before any work.
     """
+    from gsrain_engine.editor.finetune import train_transfer as work
+
     let_names_lead_outside(allow_outside)
     changes = (options or FinetuneOptions()).changes() | (images or ImageOptions()).changes()
     settings = with_trust(lambda: load_finetuning(config, **changes), trust)
@@ -190,6 +192,8 @@ def train_transfer(
 
 
 def _print(result: FinetuneResult) -> None:
+    from gsrain_engine.report.table import Table, columns
+
     console = Console(width=_COLUMNS, highlight=False)
     images = Table("Pictures", columns(("pictures", "look", "in all", "for testing")), result.table)
     named = [(name.replace("_", ", "), value) for name, value in result.losses.items()]

@@ -4,7 +4,7 @@ import posixpath
 import re
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -64,13 +64,12 @@ def with_site_links(markdown: str, source: str, page: str) -> str:
 def commands_page() -> str:
     """Write the reference of the command line, from the program itself."""
     _import_from_checkout()
-    from app.main import add_installed, app, evaluations
+    from app.main import app, evaluations, installed
     from app.options import all_listed
     from gsrain_engine import plugins
 
-    for commands, point in ((app, plugins.COMMANDS), (evaluations, plugins.EVALUATIONS)):
-        add_installed(commands, point, [each.name for each in plugins.find_extensions(point)])
-    with all_listed():
+    points = (app, plugins.COMMANDS), (evaluations, plugins.EVALUATIONS)
+    with all_listed(), installed(*points[0]), installed(*points[1]):
         text = app.generate_docs(output_format="markdown")
     text = _LISTS.sub("", _CONTENTS.sub("", text, count=1))
     text = text.replace("# gsrain\n", "# Commands\n", 1).replace("```console\n", "```text\n")
@@ -111,13 +110,16 @@ def api_page() -> str:
 def settings_page() -> str:
     """Write the reference of the settings files, from the field table."""
     _import_from_checkout()
-    from app.schema import SETTINGS, settings_type
+    from app.schema import SETTINGS, Kind, settings_type
     from gsrain_engine.fields import structs_of
 
     parts = ["# Settings", _SETTINGS_TEXT]
     listed: set[type] = set()
-    for kind, (_, title) in SETTINGS.items():
-        parts.append(f"## {title}\n\nFiles of `sample_configs/{kind}`; `gsrain schema {kind}`.")
+    places = {kind: f"Files of `sample_configs/{kind}`; " for kind in SETTINGS}
+    titles = {kind: title for kind, (_, title) in SETTINGS.items()}
+    for kind in get_args(Kind):
+        title = titles.get(kind, kind.replace("_", " ").capitalize())
+        parts.append(f"## {title}\n\n{places.get(kind, '')}`gsrain schema {kind}`.")
         for struct in structs_of(settings_type(kind)):
             if struct not in listed:
                 parts += [f"### {struct.__name__}", (struct.__doc__ or "").strip().split("\n\n")[0], _table(struct)]

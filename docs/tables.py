@@ -4,10 +4,10 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
-from app.main import benchmarks, evaluations, view
+from app.main import app, benchmarks, evaluations, view
 from docs import api_page
 from gsrain_engine import plugins
-from gsrain_engine.plugins import find_extensions
+from gsrain_engine.plugins import EntryPointGroup, find_extensions
 from gsrain_engine.scene.formats.registry import FORMATS
 from ui.commands.table import BENCHMARKS, EVALUATIONS, SHELL_COMMANDS
 from ui.panels.registry import BUILT_IN_PANELS, DockSide, Panel
@@ -33,12 +33,19 @@ def commands() -> str:
     """Return the table of all commands, each with its sentence of the help."""
     rows = [("gsrain [SCENE]", (view.__doc__ or "").strip())]
     rows += [(f"gsrain {name}", summary) for name, (_, summary) in SHELL_COMMANDS.items()]
-    rows += [(f"gsrain {each.name}", each.summary) for each in find_extensions(plugins.COMMANDS)]
-    for group, members in ((evaluations, EVALUATIONS), (benchmarks, BENCHMARKS)):
+    rows += [(f"gsrain {name}", summary) for name, summary in _extras(plugins.COMMANDS).items()]
+    compared = {name: summary for name, (_, summary) in EVALUATIONS.items()} | _extras(plugins.EVALUATIONS)
+    timed = {name: summary for name, (_, summary) in BENCHMARKS.items()}
+    for group, members in ((evaluations, compared), (benchmarks, timed)):
         rows.append((f"gsrain {group.name[0]}", group.help))
-        rows += [(f"gsrain {group.name[0]} {name}", summary) for name, (_, summary) in members.items()]
+        rows += [(f"gsrain {group.name[0]} {name}", summary) for name, summary in members.items()]
     lines = [f"| `{command}` | {summary.partition(chr(10) * 2)[0]} |" for command, summary in rows]
     return "\n".join(["", "| command | does |", "|---|---|", *lines, "", ""])
+
+
+def _extras(point: EntryPointGroup) -> dict[str, str]:
+    """Return the commands of this program's plug-ins, each with its sentence of the help."""
+    return {each.name: each.summary for each in find_extensions(point) if each.package == app.name[0]}
 
 
 def panels() -> str:

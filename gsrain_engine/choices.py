@@ -1,4 +1,4 @@
-"""Choices between words in settings and options; it imports nothing heavy, so that help is printed at once."""
+"""Choices and defaults in settings and options; it imports nothing heavy, so that help is printed at once."""
 
 from typing import Literal
 
@@ -19,6 +19,25 @@ RenderMode = Literal["splats", "points", "ellipsoids", "depth", "normals", "opac
 """
 
 LabelFormat = Literal["coco", "kitti"]
+Friction = Literal["dry", "wet"]
+"""Friction of the road in a drive: dry, each vehicle's own limits; wet, less by speed and water."""
+
+FACTORS = ("streaks", "medium", "light", "wet", "mirror", "splashes", "spray", "glass", "friction")
+"""Parts of the rain that an attribution switches, in the order of tables: names of `evaluation.attribution.factors`."""
+
+EXTRACTORS = ("inception", "pixels16")
+"""Feature extractors of `gsrain evaluate fid`."""
+
+FILM_SHARE = 0.05
+"""Share of mirrored light from which a pixel counts as water film."""
+
+READ_FORMATS = (
+    ".compressed.ply", ".ply", ".splat", ".spz", ".ksplat", ".sog", ".glb", ".usdz", ".gltf", "lod-meta.json",
+    "meta.json",
+)  # fmt: skip
+WRITTEN_FORMATS = (".compressed.ply", ".ply", ".splat", ".spz", ".sog", ".glb", ".usdz")
+"""Suffixes of `scene.formats.registry.FORMATS`, for help texts."""
+
 Axis = Literal["x", "-x", "y", "-y", "z", "-z"]
 UNIT_M = (1e-6, 1e6)
 """Shortest and longest unit of length of a scene, in meters."""

@@ -1,10 +1,11 @@
-"""Extensions: entry points of other installed packages, one group for each kind."""
+"""Extensions: entry points of installed packages, one group for each kind."""
 
 import ast
 import logging
 import sys
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from importlib.machinery import ModuleSpec, PathFinder
 from importlib.metadata import entry_points
 from importlib.util import find_spec
 from pathlib import Path
@@ -35,10 +36,11 @@ PANELS = EntryPointGroup("gsrain.panels", "panel")
 PROTOCOLS = EntryPointGroup("gsrain.protocols", "protocol")
 SCENE_FORMATS = EntryPointGroup("gsrain.scene_formats", "scene format")
 SCENES = EntryPointGroup("gsrain.scenes", "scene")
+SETTINGS = EntryPointGroup("gsrain.settings", "kind of settings")
 TRANSFERS = EntryPointGroup("gsrain.transfers", "transfer")
 GROUPS = (
     AGENTS, CAPTURE_FORMATS, COMMANDS, DECODERS, DISDROMETERS, EVALUATIONS, MODELS, PANELS, PROTOCOLS, SCENE_FORMATS,
-    SCENES, TRANSFERS,
+    SCENES, SETTINGS, TRANSFERS,
 )  # fmt: skip
 """All groups; docs/extending.md has an example of each."""
 
@@ -66,10 +68,17 @@ class Extension:
         """Name in messages: panel cloudburst (my_package:PANEL of my-package)."""
         return f"{self.group.noun} {self.name} ({self.place} of {self.package or 'an installed package'})"
 
-    @cached_property
+    @property
     def summary(self) -> str:
-        """First line of its module, which is read but not run; else the package and its version."""
-        return _first_line(self.place.partition(":")[0]) or f"Of the package {self.package} {self.version}."
+        """First paragraph of the function's docstring, read from its source without running it; "" if there is none."""
+        module, _, name = self.place.partition(":")
+        spec = _spec_of(module)
+        if spec is None or spec.origin is None or not spec.origin.endswith(".py"):
+            return ""
+        tree = ast.parse(Path(spec.origin).read_bytes())
+        functions = (each for each in tree.body if isinstance(each, ast.FunctionDef) and each.name == name)
+        described = next((ast.get_docstring(each) or "" for each in functions), "")
+        return " ".join(described.partition("\n\n")[0].split())
 
     def load(self, kind: type[_Kind]) -> _Kind:
         """Return the named object. Raises `ExtensionError` if it can't be imported or is of another kind."""
@@ -122,17 +131,15 @@ class Extension:
             return None, error
 
 
-def _first_line(module: str) -> str:
-    """First line of a module's documentation; "" if there is none, or it can't be found."""
-    package, *rest = module.split(".")
-    try:
-        spec = find_spec(package)
-        places = [] if spec is None else spec.submodule_search_locations or []
-        file = next((path for each in places if (path := Path(each, *rest).with_suffix(".py")).is_file()), None)
-        found = ast.get_docstring(ast.parse(file.read_bytes())) if file is not None else None
-    except (ImportError, OSError, ValueError, SyntaxError):
-        return ""
-    return (found or "").partition("\n")[0]
+def _spec_of(module: str) -> ModuleSpec | None:
+    """Find a module without importing the packages that it is in."""
+    first, *rest = module.split(".")
+    spec = find_spec(first)
+    for name in rest:
+        if spec is None or spec.submodule_search_locations is None:
+            return None
+        spec = PathFinder.find_spec(f"{spec.name}.{name}", spec.submodule_search_locations)
+    return spec
 
 
 def find_extensions(group: EntryPointGroup) -> tuple[Extension, ...]:

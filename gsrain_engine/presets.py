@@ -21,22 +21,23 @@ def shipped_path(name: str) -> Path:
     return inside if inside.exists() else package.parent / name
 
 
-def shipped_config_names(folder: str) -> list[str]:
-    """Names of the shipped files of a folder, in alphabetical order."""
+def shipped_config_names(folder: str | Path) -> list[str]:
+    """Names of the shipped files of a folder of `sample_configs`, or of an extension's own, in alphabetical order."""
     files = (shipped_path("sample_configs") / folder).iterdir()
     return sorted(file.name.removesuffix(".yaml") for file in files if file.name.endswith(".yaml"))
 
 
 def load_config(
-    folder: str,
+    folder: str | Path,
     name: str | Path,
     kind: type[_Config],
     what: str,
     files: Collection[str] = (),
     known: Collection[str] = (),
 ) -> _Config:
-    """Read a file as a type that msgspec supports; `what` is the noun for it in error messages.
+    """Read a file, or a shipped one by its name, as a type that msgspec supports; `what` is its noun in error messages.
 
+    Shipped files are those of a folder of `sample_configs`, or of an extension's own folder, an absolute path.
     Its fields `files` name files relative to its own folder (`resolve_from_folder`), except `known` names. Raises
     ValueError with the file, the field and the allowed values, OSError if it can't be read.
     """

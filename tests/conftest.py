@@ -1,6 +1,7 @@
 """Fixtures that many tests share."""
 
 import gc
+import json
 import os
 import re
 import sys
@@ -120,6 +121,19 @@ def _begun_anew():
         numba.set_num_threads(1)  # each test process has a core; tests of more threads set their number
     if torch := sys.modules.get("torch"):
         torch.set_num_threads(1)  # after a kernel of ours it is theirs, where both use the same OpenMP
+
+
+@pytest.fixture
+def reported(tmp_path):
+    """Run a command that succeeds; returns the numbers that --json writes."""
+    from app.main import run  # once the machine's settings above are made
+
+    def run_command(*words):
+        file = tmp_path / "reported.json"
+        assert run([*map(str, words), "--json", str(file)]) == 0
+        return json.loads(file.read_text())
+
+    return run_command
 
 
 def shared_folder() -> Path:

@@ -10,7 +10,7 @@ import yaml
 from cyclopts import CycloptsError, UnknownCommandError, UnknownOptionError
 
 import gsrain as gr
-from app.main import add_installed, app, benchmarks, evaluations, spelled_out
+from app.main import app, benchmarks, evaluations, installed, spelled_out
 from docs import figures, tables
 from documentation import PAGES, anchors_of, commands_of, links_of, text_of
 from gsrain_engine import plugins
@@ -20,8 +20,8 @@ from ui.commands.table import COMMANDS, SHELL_COMMANDS
 from ui.panels.registry import BUILT_IN_PANELS
 from ui.tools import TOOLS
 
-OF_EXTENSIONS = {"contrast", "NAME", "count"}
-"""Commands and evaluations of the examples in docs/extending.md."""
+OF_EXTENSIONS = {"contrast", "NAME", "count", "site"}
+"""Commands, evaluations and settings of the examples in docs/extending.md."""
 SITE = yaml.safe_load((REPOSITORY / "mkdocs.yml").read_text(encoding="utf-8"))
 LISTED = [each for page in PAGES for each in commands_of(page)]
 
@@ -139,13 +139,13 @@ def test_the_reference_has_every_name_with_its_arguments_and_pictures(site_pages
 
 @pytest.mark.parametrize("name", sorted({each.words[0] if each.words else "" for each in LISTED}))
 def test_commands_of_the_documentation_are_those_of_the_program(name):
-    add_installed(app, plugins.COMMANDS, [name])
     for command in LISTED:
         words = command.words
         if (words[0] if words else "") != name or not OF_EXTENSIONS.isdisjoint(words[:2]) or "--help" in words:
             continue
         try:
-            app.parse_args(spelled_out(words), exit_on_error=False, print_error=False)
+            with installed(app, plugins.COMMANDS), installed(evaluations, plugins.EVALUATIONS):
+                app.parse_args(spelled_out(words), exit_on_error=False, print_error=False)
         except CycloptsError as error:
             if not command.is_whole and not isinstance(error, UnknownOptionError | UnknownCommandError):
                 continue

@@ -5,11 +5,9 @@ import typing
 import msgspec
 import pytest
 
-from gsrain_engine.simulation.controller_base import ControllerSettings
 from gsrain_engine.simulation.scenario import Scenario, ScenarioUser
-from gsrain_engine.simulation.traffic.models import BehaviorSettings
-from gsrain_engine.simulation.traffic.tracks import TrackPoint
-from gsrain_engine.simulation.vehicle import Vehicle
+from gsrain_engine.simulation.traffic.settings import BehaviorSettings, TrackPoint
+from gsrain_engine.simulation.vehicle_settings import ControllerSettings, Vehicle
 from repository import REPOSITORY
 
 PAGES = {

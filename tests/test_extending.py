@@ -1,6 +1,10 @@
 """The package of docs/extending.md is installed, and each of its extensions is used as the page describes."""
 
+import json
+import os
 import re
+import subprocess
+import sys
 import tomllib
 from io import BytesIO
 from urllib.request import urlopen
@@ -11,12 +15,14 @@ from PIL import Image
 
 from app.doctor import describe, installed_extensions
 from app.main import BAD_INPUT, run
+from app.schema import settings_type
 from extension_package import installed, titled_blocks
 from gsrain_engine.appearance.output_folder import read_transferred
 from gsrain_engine.appearance.registry import usable_methods
 from gsrain_engine.datasets.open_capture import capture_format, open_capture
 from gsrain_engine.datasets.open_source import names_scene
 from gsrain_engine.disdrometer.open import read_disdrometer
+from gsrain_engine.fields import fields_of
 from gsrain_engine.plugins import GROUPS
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import RainSimulation
@@ -40,8 +46,9 @@ ENTRIES = tomllib.loads(BLOCKS["pyproject.toml"])["project"]["entry-points"]
 def rain_lab(tmp_path_factory):
     """The page's package, installed."""
     modules = {name: text for name, text in BLOCKS.items() if name.startswith("rain_lab/")}
-    with installed(tmp_path_factory.mktemp("site"), "rain-lab", modules, ENTRIES):
-        yield
+    site = tmp_path_factory.mktemp("site")
+    with installed(site, "rain-lab", modules, ENTRIES):
+        yield site
 
 
 @pytest.fixture(scope="module")
@@ -161,21 +168,44 @@ def test_captures_are_read(rain_lab, tmp_path, capsys):
     assert "poses.csv: names two.png, which is not there" in refused(capsys, "info", tmp_path)
 
 
-def test_evaluations_are_commands(rain_lab, scene, capsys):
+def test_evaluations_are_listed_without_running_them(rain_lab, capsys):
+    assert run(["evaluate", "--help"]) == 0
+    assert "contrast" in capsys.readouterr().out and "rain_lab.contrast" not in sys.modules
+
+
+def test_evaluations_are_commands(rain_lab, scene, tmp_path, capsys):
     assert run(["evaluate", "--help"]) == run(["evaluate", "contrast", "--help"]) == 0
     printed = capsys.readouterr().out
-    assert re.search(r"contrast\s+The remaining contrast of a scene in the rain", printed)
-    assert "Fit a line through the pixels" in printed
-    assert run(["evaluate", "contrast", str(scene), "--rain", "8.5", "--rain", "50", "--width", "96"]) == 0
+    words = " ".join(printed.replace("│", " ").split())
+    assert re.search(r"contrast Fit a line through .* Of the package rain-lab 0\.1\.0\.", words)
+    assert words.count("Fit a line through the pixels") == 2 and "Views" in printed and "--json" in printed
+    numbers, options = tmp_path / "slopes.json", ("--wind-speed", "8", "--set", "roughness_m=0.1")
+    command = ["evaluate", "contrast", str(scene), "--intensity", "8.5", "--intensity", "50", "--width", "96", *options]
+    assert run([*command, "--json", str(numbers)]) == 0
     shares = {line.split()[0]: float(line.split()[-1]) for line in capsys.readouterr().out.splitlines()}
     assert list(shares) == ["8.5", "50.0"] and shares["50.0"] < shares["8.5"] < 1
+    assert json.loads(numbers.read_text())["slopes"]["50"] == pytest.approx(shares["50.0"], abs=1e-3)
     refused(capsys, "evaluate", "contrast", "--wetness", "1")
+    assert "did you mean contrast?" in refused(capsys, "evaluate", "contrasts")
+
+
+def test_settings_have_schemas(rain_lab, tmp_path):
+    kind = settings_type("site")
+    assert [each.name for each in fields_of(kind)] == ["gauge_height_m", "mast_height_m"]
+    path = os.pathsep.join([str(rain_lab), str(REPOSITORY), os.environ.get("PYTHONPATH", "")])
+    command = [sys.executable, "-m", "app", "schema", "site"]
+    printed = subprocess.run(command, check=True, capture_output=True, text=True, env=os.environ | {"PYTHONPATH": path})
+    assert json.loads(printed.stdout)["$defs"]["Site"]["properties"]["mast_height_m"]["x-unit"] == "m"
+    (tmp_path / "mine.yaml").write_text("mast_height_m: 200")
+    with pytest.raises(ValueError, match="mast_height_m"):
+        sys.modules[kind.__module__].load_site(str(tmp_path / "mine.yaml"))
 
 
 def test_functions_are_commands(rain_lab, scene, capsys):
     assert run(["--help"]) == run(["count", "--help"]) == 0
     printed = capsys.readouterr().out
-    assert re.search(r"count\s+Count the Gaussians of a scene that are as large", printed)
+    words = " ".join(printed.replace("│", " ").split())
+    assert re.search(r"count Count the Gaussians of a scene whose .* Of the package rain-lab 0\.1\.0\.", words)
     assert "--below-mm" in printed
     assert run(["count", str(scene), "--below-mm", "1e6"]) == 0
     every = read_scene(scene).gaussian_count

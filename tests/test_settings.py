@@ -16,7 +16,7 @@ import yaml
 from cyclopts import App
 from msgspec import Meta
 
-from app.main import app, benchmarks, evaluations, run
+from app.main import app, benchmarks, evaluations, installed_evaluations, run
 from app.schema import SETTINGS, Kind, settings_type
 from gsrain_engine.disdrometer.tables import TableColumns
 from gsrain_engine.fields import Field, field_of, fields_of, option_names, structs_of
@@ -88,8 +88,9 @@ def test_a_new_setting_is_one_line(tmp_path):
 def commands():
     for name in SHELL_COMMANDS:
         yield name, app[name]
-    for group, apps in (("bench", benchmarks), ("evaluate", evaluations)):
-        yield from ((f"{group} {name}", apps[name]) for name in apps if not name.startswith("-"))
+    with installed_evaluations():
+        for group, apps in (("bench", benchmarks), ("evaluate", evaluations)):
+            yield from ((f"{group} {name}", apps[name]) for name in apps if not name.startswith("-"))
 
 
 @pytest.mark.parametrize(("name", "command"), list(commands()), ids=lambda each: each if isinstance(each, str) else "")
@@ -191,9 +192,9 @@ def test_bounds_may_be_open_or_one_sided(annotation, words, allowed, refused):
     assert msgspec.convert({"value": allowed}, kind) == kind(value=allowed)
 
 
-@pytest.mark.parametrize("kind", get_args(Kind))
+@pytest.mark.parametrize("kind", SETTINGS)
 def test_shipped_files_fit_their_schema(kind, capsys):
-    assert set(SETTINGS) == set(get_args(Kind)) == {each.name for each in shipped_path("sample_configs").iterdir()}
+    assert set(SETTINGS) == {each.name for each in shipped_path("sample_configs").iterdir()} <= set(get_args(Kind))
     assert run(["schema", kind]) == 0
     schema = json.loads(capsys.readouterr().out)
     objects = [schema["$defs"][each["$ref"].rpartition("/")[2]] for each in schema.get("anyOf", [schema])]

@@ -5,37 +5,28 @@ import sys
 from collections.abc import Mapping, Sequence
 from itertools import islice
 from pathlib import Path
-from typing import Annotated, Any, TextIO
+from typing import TYPE_CHECKING, Annotated, Any, TextIO
 
-import numpy as np
-from jaxtyping import UInt8
-from PIL import Image
-
-from gsrain_engine.datasets.open_source import missing_source
-from gsrain_engine.evaluation.consistency import (
-    FILM_SHARE,
-    PairAgreement,
-    ViewFolder,
-    WarpAgreement,
-    WarpError,
-    agreements,
-    open_view_folder,
-    pool_errors,
-    warped_pair,
-)
-from gsrain_engine.evaluation.consistency_sheet import SheetPair, consistency_sheet
-from gsrain_engine.render.images import write_image
+from gsrain_engine.choices import FILM_SHARE
 from gsrain_engine.report.numbers import finite_numbers, provenance_lines, run_provenance
-from gsrain_engine.report.page import ReportFigure, RunReport
-from gsrain_engine.report.table import Cell, Table, columns
 from gsrain_engine.safe_io.errors import MissingInputsError
 from gsrain_engine.safe_io.fingerprints import input_fingerprint
-from gsrain_engine.scene.open import file_hash
 
 from ..console import print, print_lines, progress_bar
 from ..options import AllowOutside, JsonFileOrScreen, check_within, let_names_lead_outside, option
 from ..outputs import check_image, check_page, table_stream, write_numbers, write_page
 from .images import LpipsChoice, Report, open_lpips
+
+if TYPE_CHECKING:
+    import numpy as np
+    from jaxtyping import UInt8
+
+    from gsrain_engine.evaluation.consistency import PairAgreement, ViewFolder, WarpAgreement
+    from gsrain_engine.report.page import RunReport
+    from gsrain_engine.report.table import Cell, Table
+
+    _Row = tuple[tuple[Cell, ...], Mapping[str, Any]]
+    """First cells of a row, and its numbers as in `report_of`."""
 
 
 def consistency(
@@ -58,6 +49,13 @@ def consistency(
     water move with the eye, so errors outside the water film are reported as well. Errors are root mean squares over
     matched pixels, in levels of 255; "per contrast" divides each by its image's contrast.
     """
+    from PIL import Image
+
+    from gsrain_engine.datasets.open_source import missing_source
+    from gsrain_engine.evaluation.consistency import agreements, open_view_folder
+    from gsrain_engine.render.images import write_image
+    from gsrain_engine.scene.open import file_hash
+
     let_names_lead_outside(allow_outside)
     if not folders:
         raise ValueError("expected one or more folders")
@@ -106,9 +104,12 @@ def consistency(
 
 
 def _sheet(
-    compared: Sequence[ViewFolder], pairs: Sequence[list[tuple[int, int]]], film: float, max_pairs: int
-) -> UInt8[np.ndarray, "h w 3"]:
+    compared: "Sequence[ViewFolder]", pairs: Sequence[list[tuple[int, int]]], film: float, max_pairs: int
+) -> "UInt8[np.ndarray, 'h w 3']":
     """Draw some pairs, evenly chosen, of all folders."""
+    from gsrain_engine.evaluation.consistency import warped_pair
+    from gsrain_engine.evaluation.consistency_sheet import SheetPair, consistency_sheet
+
     count = min(max_pairs, len(pairs[0]))
     return consistency_sheet([
         [
@@ -126,9 +127,11 @@ _MAX_ROWS = 40  # maximum number of pairs printed per folder; the JSON has all
 
 
 def report_of(
-    compared: Sequence[ViewFolder], results: Sequence[Sequence[PairAgreement]], film: float
+    compared: "Sequence[ViewFolder]", results: "Sequence[Sequence[PairAgreement]]", film: float
 ) -> dict[str, Any]:
     """Return the plain values of `--json`: means of each folder and rows of each pair."""
+    from gsrain_engine.evaluation.consistency import pool_errors
+
     means: list[dict[str, Any]] = []
     rows: list[dict[str, Any]] = []
     for each, own in zip(compared, results, strict=True):
@@ -142,12 +145,14 @@ def report_of(
     return {"film_share": film, "means": means, "rows": rows}
 
 
-def _both(everywhere: WarpAgreement | None, dry: WarpAgreement | None) -> dict[str, Any]:
+def _both(everywhere: "WarpAgreement | None", dry: "WarpAgreement | None") -> dict[str, Any]:
     return {**_numbers(everywhere), "outside_film": _numbers(dry)}
 
 
-def _numbers(agreement: WarpAgreement | None) -> dict[str, Any]:
+def _numbers(agreement: "WarpAgreement | None") -> dict[str, Any]:
     """Return plain numbers of an agreement, errors in display values of 0..1; null if unknown."""
+    from gsrain_engine.evaluation.consistency import WarpError
+
     if agreement is None:
         return {"pixels": 0}
     before = agreement.before or WarpError(math.nan, math.nan)
@@ -182,12 +187,10 @@ def print_agreements(numbers: Mapping[str, Any], titles: Sequence[str], file: Te
         print(note, file=file)
 
 
-_Row = tuple[tuple[Cell, ...], Mapping[str, Any]]
-"""First cells of a row, and its numbers as in `report_of`."""
-
-
-def agreement_table(title: str, named: Sequence[str], rows: Sequence[_Row], foot: Sequence[_Row] = ()) -> Table:
+def agreement_table(title: str, named: Sequence[str], rows: "Sequence[_Row]", foot: "Sequence[_Row]" = ()) -> "Table":
     """Return a table of agreements, with LPIPS if any row has it."""
+    from gsrain_engine.report.table import Table, columns
+
     measured = {"matched": ".0%", "before": ".2f", "after": ".2f", "ratio": ".2f", "per contrast": ".2f", "dry": ".0%",
                 "dry before": ".2f", "dry after": ".2f", "dry ratio": ".2f"}  # fmt: skip
     if any(row.get("lpips_after") is not None for _, row in rows):
@@ -211,7 +214,7 @@ def film_note(names: Sequence[str]) -> str:
     )
 
 
-def _cells(row: Mapping[str, Any]) -> list[Cell]:
+def _cells(row: Mapping[str, Any]) -> "list[Cell]":
     dry = row["outside_film"]
     levels = [_scaled(each.get(name), _LEVELS) for each in (row, dry) for name in ("rmse_before", "rmse_after")]
     share = dry["pixels"] / row["pixels"] if dry["pixels"] else None
@@ -235,9 +238,11 @@ _CAPTION = (
 
 
 def consistency_page(
-    numbers: Mapping[str, Any], sheet: UInt8[np.ndarray, "h w 3"], settings: Mapping[str, object]
-) -> RunReport:
+    numbers: Mapping[str, Any], sheet: "UInt8[np.ndarray, 'h w 3']", settings: Mapping[str, object]
+) -> "RunReport":
     """Lay out the page; `numbers` are those of `--json`, `sheet` shows some pairs."""
+    from gsrain_engine.report.page import ReportFigure, RunReport
+
     means, rows = numbers["means"], numbers["rows"]
     folders = [((_name(each), each["pairs"]), each) for each in means]
     pairs = [((_name(row), row["of"], row["to"]), row) for row in rows]

@@ -5,34 +5,11 @@ import sys
 from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
-from typing import Annotated, Any, Literal, TextIO
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TextIO
 
-import numpy as np
-from jaxtyping import Bool, UInt8
-
-from gsrain_engine.datasets.capture import Capture, CaptureFrame
-from gsrain_engine.datasets.capture_folder import capture_without_poses
-from gsrain_engine.datasets.image_override import find_images
-from gsrain_engine.datasets.io.images import is_image, read_labels
-from gsrain_engine.datasets.open_capture import open_capture
-from gsrain_engine.evaluation.fid import (
-    EXTRACTORS,
-    DistributionDistance,
-    FeatureCache,
-    distribution_distance,
-    extract_features,
-    image_hash,
-    open_extractor,
-)
-from gsrain_engine.evaluation.fid_features import Extractor, ExtractorChoice
-from gsrain_engine.evaluation.image_metrics import ImageDistance, check_pair, compare_images
-from gsrain_engine.evaluation.lpips_weights import ARRAY_SUFFIXES, read_lpips_weights, write_arrays
+from gsrain_engine.choices import EXTRACTORS
 from gsrain_engine.optional_packages import MissingPackageError, missing_package, require_package
-from gsrain_engine.report.charts import ImageComparison
-from gsrain_engine.report.interval import CONFIDENCE, Interval
 from gsrain_engine.report.numbers import finite_numbers, provenance_lines, run_provenance, set_hash
-from gsrain_engine.report.page import RunReport
-from gsrain_engine.report.table import Column, Table, columns
 from gsrain_engine.safe_io.fingerprints import input_fingerprint
 from gsrain_engine.safe_io.limits import file_sha256
 
@@ -40,12 +17,26 @@ from .. import outputs
 from ..console import print, print_lines, progress_bar
 from ..options import AllowOutside, JsonFileOrScreen, check_within, flag, let_names_lead_outside, option
 
+if TYPE_CHECKING:
+    import numpy as np
+    from jaxtyping import Bool, UInt8
+
+    from gsrain_engine.datasets.capture import Capture, CaptureFrame
+    from gsrain_engine.evaluation.fid import DistributionDistance, FeatureCache
+    from gsrain_engine.evaluation.fid_features import Extractor, ExtractorChoice
+    from gsrain_engine.evaluation.image_metrics import ImageDistance
+    from gsrain_engine.report.charts import ImageComparison
+    from gsrain_engine.report.interval import Interval
+    from gsrain_engine.report.page import RunReport
+    from gsrain_engine.report.table import Table
+
+    Mask = Bool[np.ndarray, "h w"]
+    Image = UInt8[np.ndarray, "h w 3"]
+
 LpipsChoice = Annotated[str | None, option("LPIPS too: alex, vgg (slower), or a file of weights.")]
 FeatureDevice = Annotated[Literal["cpu", "cuda"], option("Device on which torch computes features.")]
 Report = Annotated[Path | None, option("Also write an HTML page, with the numbers as JSON next to it.")]
 _MAX_ROWS = 40
-Mask = Bool[np.ndarray, "h w"]
-Image = UInt8[np.ndarray, "h w 3"]
 
 
 def images(
@@ -66,6 +57,10 @@ def images(
 
     PSNR in dB and SSIM (at most 1) are higher for closer images, LPIPS (0 for equal ones) is lower.
     """
+    from gsrain_engine.evaluation.fid import image_hash
+    from gsrain_engine.report.interval import Interval
+    from gsrain_engine.report.page import RunReport
+
     let_names_lead_outside(allow_outside)
     outputs.check_page(report, json)
     pairs, left_out = _pairs(shown, truth)
@@ -105,7 +100,7 @@ def images(
         outputs.write_page(report, page, json, numbers)
 
 
-def _pairs(shown: Path, truth: Path) -> tuple[list[tuple[CaptureFrame, CaptureFrame]], int]:
+def _pairs(shown: Path, truth: Path) -> "tuple[list[tuple[CaptureFrame, CaptureFrame]], int]":
     """Return pairs of views, and the number of images without a partner; two files always form a pair."""
     first, second = _views(shown), _views(truth)
     if _is_one(shown) and _is_one(truth):
@@ -119,15 +114,23 @@ def _pairs(shown: Path, truth: Path) -> tuple[list[tuple[CaptureFrame, CaptureFr
     return pairs, len(first) + len(second) - 2 * len(pairs)
 
 
-def _views(path: Path) -> list[CaptureFrame]:
+def _views(path: Path) -> "list[CaptureFrame]":
+    from gsrain_engine.datasets.capture_folder import capture_without_poses
+    from gsrain_engine.datasets.open_capture import open_capture
+
     return list(capture_without_poses(path, [path]) if _is_one(path) else open_capture(path))
 
 
 def _is_one(path: Path) -> bool:
+    from gsrain_engine.datasets.io.images import is_image
+
     return is_image(path) and path.is_file()
 
 
-def _mask(folder: Path, view: CaptureFrame) -> Mask:
+def _mask(folder: Path, view: "CaptureFrame") -> "Mask":
+    from gsrain_engine.datasets.image_override import find_images
+    from gsrain_engine.datasets.io.images import read_labels
+
     if folder.is_file():
         return read_labels(folder) > 0
     file = find_images(folder).file_of(view.name, view.sensor)
@@ -137,8 +140,12 @@ def _mask(folder: Path, view: CaptureFrame) -> Mask:
 
 
 def _compared(
-    name: str, shown: Image, truth: Image, mask: Mask | None, distance: ImageDistance | None
-) -> ImageComparison:
+    name: str, shown: "Image", truth: "Image", mask: "Mask | None", distance: "ImageDistance | None"
+) -> "ImageComparison":
+    import numpy as np
+
+    from gsrain_engine.evaluation.image_metrics import check_pair, compare_images
+
     a, b = (picture.astype(np.float32) / np.float32(255) for picture in (shown, truth))
     try:
         check_pair(a.shape, b.shape, None if mask is None else mask.shape)
@@ -147,7 +154,9 @@ def _compared(
         raise ValueError(f"{name}: {error}") from None
 
 
-def _print(rows: Sequence[ImageComparison], means: dict[str, Interval], file: TextIO) -> None:
+def _print(rows: "Sequence[ImageComparison]", means: "dict[str, Interval]", file: TextIO) -> None:
+    from gsrain_engine.report.table import Column, Table
+
     titles = {"psnr_db": Column("PSNR", ".2f", "dB"), "ssim": Column("SSIM", ".4f"), "lpips": Column("LPIPS", ".4f")}
     shown = rows if len(rows) <= _MAX_ROWS else sorted(rows, key=lambda row: row.psnr_db)[:_MAX_ROWS]
     title = f"mean of {len(rows)}" + (f", above the {_MAX_ROWS} worst" if len(rows) > _MAX_ROWS else "")
@@ -187,6 +196,10 @@ def fid(
     FID of few images is too high: "same" is its value if both sets came from one distribution. KID is unbiased, and is
     0 then. Other extractors give distances with their own names: FD- and KD-.
     """
+    from gsrain_engine.evaluation.fid import FeatureCache
+    from gsrain_engine.evaluation.fid_features import ExtractorChoice
+    from gsrain_engine.report.interval import CONFIDENCE
+
     let_names_lead_outside(allow_outside)
     names = [name.strip() for name in extractor.split(",")]
     for name in names:
@@ -218,15 +231,19 @@ def fid(
         outputs.write_page(report, _page(rows, {**settings, **provenance_lines(facts)}), json, numbers)
 
 
-def _opened(folder: Path) -> Capture:
+def _opened(folder: Path) -> "Capture":
+    from gsrain_engine.datasets.open_capture import open_capture
+
     capture = open_capture(folder)
     for problem in capture.problems if capture.has_poses else capture.problems[1:]:  # missing poses don't matter here
         _log.warning("%s: %s", folder, problem)
     return capture
 
 
-def extractor_of(choice: ExtractorChoice, option: str = "--extractor") -> Extractor:
+def extractor_of(choice: "ExtractorChoice", option: str = "--extractor") -> "Extractor":
     """Open an extractor. Raises ValueError, which names the package, if one is missing."""
+    from gsrain_engine.evaluation.fid import open_extractor
+
     try:
         return open_extractor(choice)
     except ModuleNotFoundError as error:
@@ -234,14 +251,16 @@ def extractor_of(choice: ExtractorChoice, option: str = "--extractor") -> Extrac
 
 
 def _rows(
-    extractor: Extractor,
-    sets: Sequence[tuple[Path, Capture]],
-    cache: FeatureCache | None,
+    extractor: "Extractor",
+    sets: "Sequence[tuple[Path, Capture]]",
+    cache: "FeatureCache | None",
     resamples: int,
     seed: int,
     hashes: dict[str, str],
-) -> list[DistributionDistance]:
+) -> "list[DistributionDistance]":
     """Extract features of all sets and compare each set with the first; adds hashes of their pixels to `hashes`."""
+    from gsrain_engine.evaluation.fid import distribution_distance, extract_features
+
     with progress_bar("Looking at pictures", sum(len(capture) for _, capture in sets)) as advance:
         looked = [extract_features(str(folder), capture, extractor, cache, advance) for folder, capture in sets]
     hashes |= {each.name: set_hash(each.hashes) for each in looked}
@@ -252,8 +271,10 @@ def _rows(
         ]
 
 
-def distances_table(rows: Sequence[DistributionDistance]) -> Table:
+def distances_table(rows: "Sequence[DistributionDistance]") -> "Table":
     """Return the table of the distances."""
+    from gsrain_engine.report.table import Table, columns
+
     titled = {
         "set": "", "distance": "", "value": ".4g", "same": ".4g", "kernel distance": "", "x 1000": ".4g",
         "N real": "", "N": "", "extractor": "",
@@ -277,11 +298,13 @@ def _short(folder: str) -> str:
     return str(Path(*Path(folder).parts[-2:]))
 
 
-def _fid_numbers(row: DistributionDistance) -> dict[str, Any]:
+def _fid_numbers(row: "DistributionDistance") -> dict[str, Any]:
     return {each.name: getattr(row, each.name) for each in fields(row)} | row.plain
 
 
-def _page(rows: Sequence[DistributionDistance], settings: dict[str, Any]) -> RunReport:
+def _page(rows: "Sequence[DistributionDistance]", settings: dict[str, Any]) -> "RunReport":
+    from gsrain_engine.report.page import RunReport
+
     notes = tuple(f"{_short(row.fake)}, {row.metric}: {warning}." for row in rows for warning in row.warnings)
     sets = {f"set {_short(row.fake)}": row.fake for row in rows}
     return RunReport(
@@ -310,6 +333,8 @@ def lpips_weights(
 
     Nothing in a file is run: pickles may hold arrays and containers, no more.
     """
+    from gsrain_engine.evaluation.lpips_weights import ARRAY_SUFFIXES, read_lpips_weights
+
     outputs.check_ending("--output", output, ARRAY_SUFFIXES)
     outputs.check_writable(output)
     weights = read_lpips_weights(*files)
@@ -322,6 +347,8 @@ def inception_weights(
     file: Annotated[Path, option("pt_inception-2015-12-05-6726825d.pth of pytorch-fid.", "IN")], /, *, output: _Output
 ) -> None:
     """Convert the Inception weights of FID to plain arrays. Nothing in the file is run."""
+    from gsrain_engine.evaluation.lpips_weights import ARRAY_SUFFIXES, write_arrays
+
     try:
         from gsrain_engine.evaluation.fid_torch_features import inception_weights as read  # torch is an extra
 
@@ -334,11 +361,13 @@ def inception_weights(
     print(f"{output}: Inception of FID, {output.stat().st_size / 1e6:.1f} MB, SHA-256 {file_sha256(output)[:16]}")
 
 
-def open_lpips(weights: str) -> ImageDistance:
+def open_lpips(weights: str) -> "ImageDistance":
     """Open LPIPS of alex, vgg or a file. Raises ValueError or FileNotFoundError if that is not possible."""
+    from gsrain_engine.evaluation.lpips_weights import read_lpips_weights
+
     require_package("torch", "--lpips")
     from gsrain_engine.evaluation.lpips import Lpips
-    from gsrain_engine.evaluation.lpips_weights import find_lpips_weights, read_lpips_weights
+    from gsrain_engine.evaluation.lpips_weights import find_lpips_weights
 
     found = find_lpips_weights(weights) if weights in ("alex", "vgg") else read_lpips_weights(Path(weights))
     return Lpips(found).distance

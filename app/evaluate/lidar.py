@@ -3,8 +3,7 @@
 from pathlib import Path
 from typing import Annotated
 
-from gsrain_engine.evaluation.lidar.sensor import SENSORS, LidarSensor
-from gsrain_engine.evaluation.lidar.settings import LidarSettings
+from gsrain_engine.evaluation.lidar.settings import SENSOR_NAMES, LidarSettings, SensorSettings
 from gsrain_engine.rain.settings import RainSettings
 
 from ..console import print, print_lines, run_with_progress
@@ -20,7 +19,7 @@ from ..options import (
 from ..outputs import claim_outputs, table_stream, write_numbers
 
 LimitOptions = options_of(
-    LidarSensor,
+    SensorSettings,
     "evaluate lidar",
     defaults={"range_m": "the sensor's; of a capture, estimated", "least_reflectance": "the sensor's"},
     topic="Sensor",
@@ -40,7 +39,7 @@ def lidar(
     conditions: ConditionOptions | None = None,
     air: AirOptions | None = None,
     sensor: Annotated[
-        str, option(f"{', '.join(SENSORS)} (beams, or nm), or a YAML file of a sensor.", topic="Sensor")
+        str, option(f"{', '.join(SENSOR_NAMES)} (beams, or nm), or a YAML file of a sensor.", topic="Sensor")
     ] = "64",
     limits: LimitOptions | None = None,
     write_sweeps: Annotated[bool, option("Write each sweep in rain (.npz).", topic="Output")] = True,
@@ -64,9 +63,9 @@ def lidar(
     check_available(chosen_air.changes(), rain, "lidar")
     changes = (limits or LimitOptions()).changes()
     claim_outputs(output / "lidar.png", output / "report.html", json, folders=[output])
-    with named_options(LidarSensor, "sensor"):
+    with named_options(SensorSettings, "sensor"):
         chosen = open_sensor(sensor, changes)
-    inputs = {source: source_hash(source)} | ({} if sensor in SENSORS else {sensor: file_hash(Path(sensor))})
+    inputs = {source: source_hash(source)} | ({} if sensor in SENSOR_NAMES else {sensor: file_hash(Path(sensor))})
     work = evaluate_lidar(
         open_source(source), chosen, rain, settings, estimates_range="range_m" not in changes, inputs=inputs,
         sweeps=output / "sweeps" if write_sweeps else None,

@@ -3,30 +3,15 @@
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, TextIO
+from typing import TYPE_CHECKING, Annotated, TextIO
 
 import msgspec
-from PIL import Image
 
-from gsrain_engine.appearance import output_folder
-from gsrain_engine.appearance.registry import find_method
-from gsrain_engine.appearance.scene_views import chosen_views
-from gsrain_engine.appearance.session import source_views
-from gsrain_engine.datasets.capture import Capture
-from gsrain_engine.datasets.open_capture import open_capture
-from gsrain_engine.datasets.open_source import names_scene
-from gsrain_engine.evaluation import compare_results as results
-from gsrain_engine.evaluation import compare_translators as translators
-from gsrain_engine.evaluation.fid import FeatureCache
-from gsrain_engine.evaluation.fid_features import ExtractorChoice
 from gsrain_engine.optional_packages import require_package
 from gsrain_engine.presets import shipped_config_names
-from gsrain_engine.render.images import write_image
 from gsrain_engine.report.numbers import provenance_lines, run_provenance, version_of, write_text
-from gsrain_engine.report.page import ReportFigure, RunReport, write_report
 from gsrain_engine.safe_io.errors import MissingInputsError
 from gsrain_engine.safe_io.fingerprints import input_fingerprint
-from gsrain_engine.scene.open import load_scene, scene_hash
 
 from .. import outputs
 from ..console import print, print_lines, run_with_progress
@@ -34,10 +19,16 @@ from ..options import AllowOutside, JsonFileOrScreen, Trust, let_names_lead_outs
 from .consistency import film_note
 from .images import FeatureDevice, extractor_of
 
+if TYPE_CHECKING:
+    from gsrain_engine.datasets.capture import Capture
+    from gsrain_engine.evaluation import compare_results as results
+    from gsrain_engine.evaluation import compare_translators as translators
+    from gsrain_engine.report.page import RunReport
+
 
 def transfers(
     comparison: Annotated[
-        str, option(f"YAML file, or shipped comparison: {', '.join(shipped_config_names(results.SHIPPED))}.")
+        str, option(f"YAML file, or shipped comparison: {', '.join(shipped_config_names('comparisons'))}.")
     ],
     /,
     *,
@@ -56,6 +47,16 @@ def transfers(
     whose images are in DIR, made with the same settings, are not run again. All missing inputs are named before any
     work.
     """
+    from PIL import Image
+
+    from gsrain_engine.appearance import output_folder
+    from gsrain_engine.evaluation import compare_results as results
+    from gsrain_engine.evaluation import compare_translators as translators
+    from gsrain_engine.evaluation.fid import FeatureCache
+    from gsrain_engine.evaluation.fid_features import ExtractorChoice
+    from gsrain_engine.render.images import write_image
+    from gsrain_engine.report.page import write_report
+
     let_names_lead_outside(allow_outside)
     settings = with_trust(lambda: results.load_comparison(comparison), trust)
     names = tuple(split_words(only))
@@ -97,8 +98,12 @@ def transfers(
     outputs.write_numbers(json, numbers)
 
 
-def _check_inputs(settings: results.TransferComparison) -> None:
+def _check_inputs(settings: "results.TransferComparison") -> None:
     """Raise `MissingInputsError` with everything that a comparison lacks on this machine, torch among it."""
+    from gsrain_engine.appearance.registry import find_method
+    from gsrain_engine.evaluation import compare_results as results
+    from gsrain_engine.evaluation import compare_translators as translators
+
     learned = [each.name for each in settings.methods if each.method != results.CLEAR
                and find_method(each.method).needs_torch]  # fmt: skip
     missing: list[str] = []
@@ -112,7 +117,14 @@ def _check_inputs(settings: results.TransferComparison) -> None:
         raise MissingInputsError(missing)
 
 
-def _opened(settings: results.TransferComparison) -> tuple[translators.ComparedSource, Capture]:
+def _opened(settings: "results.TransferComparison") -> "tuple[translators.ComparedSource, Capture]":
+    from gsrain_engine.appearance.scene_views import chosen_views
+    from gsrain_engine.appearance.session import source_views
+    from gsrain_engine.datasets.open_capture import open_capture
+    from gsrain_engine.datasets.open_source import names_scene
+    from gsrain_engine.evaluation import compare_translators as translators
+    from gsrain_engine.scene.open import load_scene
+
     if settings.pictures is not None:
         weights = [each.weights for each in settings.methods if each.weights is not None]
         return translators.held_out_images(settings.pictures, settings.width_px, weights)
@@ -131,8 +143,11 @@ def _opened(settings: results.TransferComparison) -> tuple[translators.ComparedS
     return translators.ComparedSource(opened.name, *views, True, stamp), real
 
 
-def _inputs(settings: results.TransferComparison, source: translators.ComparedSource) -> dict[str, str]:
+def _inputs(settings: "results.TransferComparison", source: "translators.ComparedSource") -> dict[str, str]:
     """Return hashes of the inputs: of a scene's bytes, and of names, sizes and times of all other files."""
+    from gsrain_engine.datasets.open_source import names_scene
+    from gsrain_engine.scene.open import scene_hash
+
     is_scene = settings.source is not None and names_scene(settings.source)
     found = {"clear views": scene_hash(settings.source) if is_scene else source.stamp}
     rainy = settings.real if settings.pictures is None else [Path(each.path) for each in settings.pictures.rainy]
@@ -149,9 +164,12 @@ _WITHOUT_CAMERAS = "Nobody knows where these pictures were taken: whether views 
 
 
 def transfers_page(
-    result: translators.ComparisonResult, settings: results.TransferComparison, facts: Mapping[str, object]
-) -> RunReport:
+    result: "translators.ComparisonResult", settings: "results.TransferComparison", facts: Mapping[str, object]
+) -> "RunReport":
     """Lay out the page of a comparison; `facts` come first among its settings."""
+    from gsrain_engine.evaluation import compare_results as results
+    from gsrain_engine.report.page import ReportFigure, RunReport
+
     rows, distance = result.rows, result.rows[0].distance
     notes = [f"{row.name}: {warning}." for row in rows for warning in row.distance.warnings]
     if not result.has_cameras:
@@ -169,8 +187,10 @@ def transfers_page(
     )
 
 
-def print_transfers(result: translators.ComparisonResult, file: TextIO) -> None:
+def print_transfers(result: "translators.ComparisonResult", file: TextIO) -> None:
     """Print the table, the reused methods, and warnings about the distances."""
+    from gsrain_engine.evaluation import compare_results as results
+
     print_lines(results.comparison_table(result.rows).text, file=file)
     if not result.has_cameras:
         print(_WITHOUT_CAMERAS, file=file)
@@ -183,14 +203,16 @@ def print_transfers(result: translators.ComparisonResult, file: TextIO) -> None:
             print(f"{row.name}, {row.distance.metric}: {warning}.", file=file)
 
 
-def _without_film(result: translators.ComparisonResult) -> list[str]:
+def _without_film(result: "translators.ComparisonResult") -> list[str]:
     """Return a sentence that explains empty numbers outside the water film, if there are any."""
+    from gsrain_engine.evaluation import compare_results as results
+
     rows = [row for row in result.rows if row.pairs and row.outside_film is None and row.method != results.CLEAR]
     names = [row.name for row in rows]
     return [film_note(names)] if names else []
 
 
-def _changed(method: results.ComparedMethod) -> str:
+def _changed(method: "results.ComparedMethod") -> str:
     values = msgspec.to_builtins(method, enc_hook=str)
     defaults = {each.name: each.default for each in msgspec.structs.fields(method)}
     own = {key: value for key, value in values.items() if key not in ("name", "method") and value != defaults[key]}

@@ -1,25 +1,24 @@
 """Models fitted to drop spectra: gamma size law, fall speed, axis ratio, bootstrap, and calibration rows."""
 
 from dataclasses import dataclass, fields
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
-from msgspec import Meta
 from scipy import special
 
 from ..rain.calibration import (
     Calibration,
     CalibrationRow,
     Interval,
-    Positive,
     RowConfidence,
     VelocityFit,
     atlas_velocity,
 )
-from ..rain.properties import LARGEST_MM, SMALLEST_MM, DropSizes, flux_mm_h
-from ..settings import Settings
+from ..rain.properties import DropSizes, flux_mm_h
+from ..rain.settings import LARGEST_MM, SMALLEST_MM
 from .file_summary import RateCheck
+from .fit_settings import FitOptions
 from .spectra import DropSpectra, SingleDrops
 
 SHAPES = (0.2, 200.0)
@@ -405,51 +404,6 @@ def fitted_classes(minutes: Minutes, edges_mm: Float64[np.ndarray, " d_and_one"]
             f"{max(smallest_mm, SMALLEST_MM):g}..{LARGEST_MM:g} mm, the first with {_MIN_OF_A_CLASS} drops or more"
         )
     return slice(int(first[0]), int(last[-1]) + 1)
-
-
-class FitOptions(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Settings of a fit from minutes to calibration rows."""
-
-    intensities_mm_h: Annotated[
-        tuple[Positive, ...],
-        Meta(
-            min_length=2,
-            title="Intensities",
-            description="Middles of the bins; a row for each with enough drops.",
-            extra={"unit": "mm/h", "commands": "calibrate"},
-        ),
-    ] = (0.3, 0.5, 0.8, 1.2, 1.8, 2.7, 4.0, 5.8, 8.5, 12.0, 18.0, 27.0, 40.0, 60.0, 90.0)
-    half_width: Annotated[
-        float,
-        Meta(
-            gt=0,
-            lt=1,
-            title="Half width",
-            description="Minutes within this share of a bin's middle belong to it.",
-            extra={"commands": "calibrate"},
-        ),
-    ] = 0.2
-    smallest_mm: Annotated[
-        float,
-        Meta(
-            ge=0,
-            lt=LARGEST_MM,
-            title="Smallest drop",
-            description="Classes that begin below aren't fitted; 0 takes all.",
-            extra={"option": "smallest-mm", "commands": "calibrate"},
-        ),
-    ] = 0.0
-    resamples: Annotated[
-        int,
-        Meta(
-            ge=0,
-            le=100_000,
-            title="Resamples",
-            description="Bootstrap draws behind each interval; 0: none.",
-            extra={"commands": "calibrate"},
-        ),
-    ] = 400
-    seed: Annotated[int, Meta(ge=0, title="Seed", description="Of the bootstrap.", extra={"commands": "calibrate"})] = 0
 
 
 def fit_rows(

@@ -14,7 +14,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from ..rain.calibration import Interval, atlas_velocity, load_calibration
-from ..rain.properties import LARGEST_MM, SMALLEST_MM, DropSizes
+from ..rain.properties import DropSizes
+from ..rain.settings import LARGEST_MM, SMALLEST_MM
 from ..safe_io.files import whole_file
 from ..safe_io.text_files import figure_words
 from .fit_models import AxisRatios, FittedCalibration, FittedRow

@@ -6,7 +6,8 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from ..rain.properties import LARGEST_MM, SMALLEST_MM, RainProperties
+from ..rain.properties import RainProperties
+from ..rain.settings import LARGEST_MM, SMALLEST_MM
 from .spectra import DropSpectra
 
 INSTRUMENT = "GSRAIN virtual disdrometer"

@@ -13,6 +13,7 @@ from ..appearance.base import RainyView
 from ..appearance.correspondence import Correspondence, correspondence, rank_neighbors, warped
 from ..appearance.output_folder import is_transferred_folder, read_transferred
 from ..appearance.scene_views import CachedViews
+from ..choices import FILM_SHARE
 from .image_metrics import Image, ImageDistance, Mask
 
 _CACHED_VIEWS = 6
@@ -93,7 +94,6 @@ class _LazyViews(Sequence[RainyView]):
 
 # Warping error
 
-FILM_SHARE = 0.05  # share of mirrored light from which a pixel counts as water film
 MIN_PIXELS = 256  # pairs with fewer common pixels are skipped
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import platformdirs
 from jaxtyping import Bool, Float, Float32, Float64, Int64, UInt8
 
+from ..choices import EXTRACTORS
 from ..datasets.capture import Capture
 from ..report.interval import Interval, quantiles
 from ..safe_io.files import whole_file
@@ -124,8 +125,6 @@ def image_hash(image: UInt8[np.ndarray, "h w 3"]) -> str:
 
 
 # Extractors by their `--extractor` names
-
-EXTRACTORS = ("inception", "pixels16")
 
 
 def open_extractor(choice: ExtractorChoice) -> Extractor:

@@ -8,8 +8,8 @@ from jaxtyping import Float32
 from msgspec import structs
 
 from ..rain.frame import SkyLight
-from ..rain.properties import LARGEST_MM, SMALLEST_MM, DropSizes, rain_class, turbulent_fall_share
-from ..rain.settings import RainSettings
+from ..rain.properties import DropSizes, rain_class, turbulent_fall_share
+from ..rain.settings import LARGEST_MM, SMALLEST_MM, RainSettings
 from ..rain.shelter_map import ShelterMap, shelter_map_of
 from ..rain.simulation import RainSimulation
 from ..scene.camera import Camera

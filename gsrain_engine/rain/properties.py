@@ -15,10 +15,7 @@ from scipy import special
 from .calibration import Calibration, atlas_velocity, load_calibration
 from .fog import fog_extinction_per_m
 from .haze import extinction_per_m, haze_count
-from .settings import CALIBRATED_UP_TO_MM_H, HEAVIEST_MM_H, RainSettings
-
-SMALLEST_MM, LARGEST_MM = 0.1, 8.0
-"""Diameter limits: smaller drops are drizzle mist, larger ones break up. The distribution is cut and renormalized."""
+from .settings import CALIBRATED_UP_TO_MM_H, HEAVIEST_MM_H, LARGEST_MM, SMALLEST_MM, RainSettings
 
 CLASSES = 16384
 """Diameter classes: class c is the quantile (c + 1/2) / CLASSES, and a drop keeps its class as R changes."""

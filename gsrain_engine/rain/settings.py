@@ -21,6 +21,9 @@ MAX_LAMP_GAIN = 10.0
 HEAVIEST_MM_H = 149.0
 """Highest intensity: the upper end of very heavy rain (ASAM OSI)."""
 
+SMALLEST_MM, LARGEST_MM = 0.1, 8.0
+"""Diameter limits: smaller drops are drizzle mist, larger ones break up. The distribution is cut and renormalized."""
+
 
 class RegionBox(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Axis-aligned box in the anchor's frame (x forward, y left, z up, origin 1.5 m above the road), in meters."""
@@ -59,7 +62,7 @@ class RainSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     # fmt: off
     intensity_mm_h: Annotated[float, Meta(
         ge=0, le=HEAVIEST_MM_H, title="Intensity", extra={
-            "unit": "mm/h", "option": "rain intensity", "commands": "render, disdrometer, evaluate streaks"},
+            "unit": "mm/h", "option": "rain intensity", "commands": "render, disdrometer"},
         description="Rainfall intensity R. Calibrated up to 13 mm/h.")] = 0.0
     exposure_s: Annotated[ExposureSeconds | None, Meta(
         title="Exposure", extra={
@@ -68,7 +71,7 @@ class RainSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         "(4 ms by day).")] = None
     seed: Annotated[int, Meta(
         ge=0, le=2**32 - 1, title="Seed",
-        extra={"group": "Wind and seed", "commands": "render, disdrometer, drive, evaluate streaks"},
+        extra={"group": "Wind and seed", "commands": "render, disdrometer, drive"},
         description="Same seed and time, same drops.")] = 0
 
     streaks: Annotated[bool, Meta(
@@ -96,12 +99,12 @@ class RainSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     wind_speed_m_s: Annotated[float, Meta(
         ge=0, le=60, title="Wind speed", extra={
             "unit": "m/s", "group": "Wind and seed", "slider_to": 20.0,
-            "topic": "Weather and road", "commands": "render, disdrometer, drive, evaluate streaks"},
+            "topic": "Weather and road", "commands": "render, disdrometer, drive"},
         description="Mean wind at 10 m above the ground; less below (roughness length).")] = 2.0
     wind_from_deg: Annotated[float, Meta(
         ge=0, le=360, title="Wind from", extra={
             "unit": "deg", "option": "wind-from", "group": "Wind and seed",
-            "topic": "Weather and road", "commands": "render, disdrometer, drive, evaluate streaks"},
+            "topic": "Weather and road", "commands": "render, disdrometer, drive"},
         description="Direction the wind blows from: 0 north (world y), 90 east (world x).")] = 240.0
     wind_m_s: Annotated[tuple[WindComponent, WindComponent] | None, Meta(
         title="Wind", extra={"unit": "m/s", "group": "Wind and seed"},
@@ -109,12 +112,12 @@ class RainSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     gust_m_s: Annotated[float, Meta(
         ge=0, le=20, title="Gusts", extra={
             "unit": "m/s", "group": "Wind and seed",
-            "topic": "Weather and road", "commands": "render*, disdrometer, drive*, evaluate streaks"},
+            "topic": "Weather and road", "commands": "render*, disdrometer, drive*"},
         description="Amplitude of the wind's variation over seconds and meters.")] = 0.4
     turbulence_m_s: Annotated[float, Meta(
         ge=0, le=5, title="Turbulence", extra={
             "unit": "m/s", "group": "Wind and seed",
-            "topic": "Weather and road", "commands": "render*, disdrometer, drive*, evaluate streaks"},
+            "topic": "Weather and road", "commands": "render*, disdrometer, drive*"},
         description="RMS of the air's velocity, along each axis, in eddies that move drops one by one.")] = 0.6
     roughness_m: Annotated[float, Meta(
         ge=0.001, le=2, title="Roughness length", extra={"unit": "m", "group": "Wind and seed", "scale": "log"},
@@ -122,7 +125,7 @@ class RainSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     calibration: Annotated[str, Meta(
         title="Calibration", extra={
-            "commands": "render*, disdrometer, drive, evaluate detection, evaluate streaks, evaluate lidar"},
+            "commands": "render*, disdrometer, drive, evaluate detection, evaluate lidar"},
         description="Name of a shipped calibration, or a calibration file.")] = "published"
     closure: Annotated[Literal["density", "published"], Meta(
         title="Number of drops from", extra={
@@ -141,7 +144,7 @@ class RainSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         description="Fall speed by diameter: the calibration's fit, or Atlas et al. (1973).")] = "calibration"
 
     model: Annotated[Literal["physical", "paper"], Meta(
-        title="Model", extra={"commands": "evaluate streaks", "group": "Physics"},
+        title="Model", extra={"option": "model", "group": "Physics"},
         description="paper: the paper's own form where it differs: streaks as of a still camera; drops are mixed as "
         "display values, fall straight and re-enter at the top; haze Gaussians jump each frame.")] = "physical"
 
@@ -167,18 +170,18 @@ class RainSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         description="Multiplies the extinction; 1 is physical.")] = 1.0
     streak_gain: Annotated[float, Meta(
         ge=0, le=50, title="Streak gain",
-        extra={"unit": "x", "group": "Appearance", "slider_to": 10.0, "commands": "render*, evaluate streaks"},
+        extra={"unit": "x", "group": "Appearance", "slider_to": 10.0, "commands": "render*"},
         description="Multiplies the streaks' opacity; 1 is physical.")] = 1.0
     sensor: Annotated[str | None, Meta(
         title="Camera model", extra={
             "group": "Camera", "topic": "Sensor and glass",
-            "commands": "render, drive, evaluate detection, evaluate streaks"},
+            "commands": "render, drive, evaluate detection"},
         description="Sensor and lens: automotive, pinhole, rainsense, waymo_front, or a sensor file; also sets "
         "exposure, noise, tone curve and JPEG. Without one, drops get the lens and readout of automotive.")] = None
     aperture_mm: Annotated[Annotated[float, Meta(ge=0, le=50)] | None, Meta(
         title="Aperture",
         extra={"unit": "mm", "group": "Camera", "slider_to": 10.0, "none": "the sensor's",
-               "usual": 4.0, "topic": "Sensor and glass", "commands": "evaluate streaks"},
+               "usual": 4.0, "option": "aperture", "topic": "Sensor and glass"},
         description="Diameter of the lens opening in place of the sensor's; 0 is a pinhole: all sharp.")] = None
     focus_distance_m: Annotated[Annotated[float, Meta(ge=0.2, le=10_000)] | None, Meta(
         title="Focus distance", extra={"unit": "m", "group": "Camera", "scale": "log",

@@ -2,15 +2,13 @@
 
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated
 
 import msgspec
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int64
-from msgspec import Meta
 
 from ..scene.gaussians import SH_C0
-from ..settings import Settings
+from .settings import RecolorSettings
 from .solver import TIKHONOV, Basis, ColorTarget, Harmonics, Rows, SolverStep, evaluate_colors, solve_colors
 from .views import NO_CHANGE, ViewAffine, ViewObservation, view_affines
 from .weights import Picture
@@ -47,40 +45,6 @@ class Solution:
     """Exposure and white balance of each image."""
     trust: Float64[np.ndarray, " v"]
     """Agreement of each view with the others, 0 to 1."""
-
-
-# Settings
-
-
-class RecolorSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Settings of the color solver."""
-
-    iterations: Annotated[int, Meta(
-        ge=1, le=200, title="Iterations", extra={"commands": "recolor, bench recoloring"},
-        description="Steps of conjugate gradients, in total.")] = 12  # fmt: skip
-    rounds: Annotated[int, Meta(ge=1, le=10, title="Rounds")] = 2
-    """Number of times that exposures and trust are re-estimated; the iterations are divided among them."""
-    sh_degree: Annotated[int, Meta(
-        ge=0, le=3, title="Degree of harmonics", extra={"commands": "recolor"},
-        description="Highest degree of harmonics to solve for; never above the scene's own.")] = 3  # fmt: skip
-    tikhonov: Annotated[float, Meta(ge=1e-6, le=1e6)] | None = None
-    """Prior weight of the mapped clear colors: the evidence at which a Gaussian moves halfway; None selects it by
-    cross-validation."""
-    directional: Annotated[float, Meta(ge=0, le=1e3, title="Pull on directions")] = 4.0
-    """Factor of the prior weight on each harmonic above degree 0."""
-    per_view: Annotated[float, Meta(ge=0, le=10, title="Pull by views")] = 0.1
-    """Extra prior weight above degree 0 as a share of one view's evidence, since one view can't separate directions."""
-    exposure: Annotated[bool, Meta(
-        title="Exposures", extra={"commands": "recolor"},
-        description="Fit an exposure and white balance for each image.")] = True  # fmt: skip
-    robust: Annotated[bool, Meta(
-        title="Robust", extra={"commands": "recolor"},
-        description="Reduce the weight of images and pixels that disagree with the others.")] = True  # fmt: skip
-    memory_mb: Annotated[float, Meta(
-        ge=0, title="Memory", extra={"unit": "MB", "commands": "recolor"},
-        description="Memory for stored weights; views beyond it take longer; 0: all do.")] = 4096.0  # fmt: skip
-    """Views beyond it recompute their tiles on each use. With 0, solving the street with 24
-    views of 640 px took 7 times as long in total, 1.2 times the CPU time, and 0.73 of the memory."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -3,12 +3,11 @@
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
-from typing import Annotated, Any, TypeVar
+from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
 from jaxtyping import Float32
-from msgspec import Meta
 
 from ..appearance.base import ClearView, Transfer
 from ..appearance.wet_look.settings import WetSettings
@@ -20,10 +19,10 @@ from ..report.result import RunResult
 from ..report.table import Table, columns
 from ..scene.progress import Progress, subprogress
 from ..scene.scene import Scene
-from ..settings import Settings
 from ..training.evaluation import validation_indices
-from .problem import ColorProblem, ProblemView, RecolorSettings, Solution, choose_prior_weight, color_prior_of
+from .problem import ColorProblem, ProblemView, Solution, choose_prior_weight, color_prior_of
 from .result import RecolorMember, scene_members, with_colors
+from .settings import RecolorOptions, RecolorSettings
 from .solver import Harmonics, SolverStep
 from .views import TargetView, ViewObservation, ground_height_m, observe_view, surface_shares, target_views, thumbnail
 
@@ -179,29 +178,6 @@ def _view_reports(setup: ProblemInputs, solution: Solution) -> tuple[RecolorView
 
 _READ_DONE = 0.05
 _COMPARED = 6
-
-
-class RecolorOptions(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Options of a recoloring besides those of the solver."""
-
-    # fmt: off
-    width_px: Annotated[int, Meta(
-        ge=16, le=16384, title="Width of pictures", extra={"unit": "px", "commands": "recolor"},
-        description="Wider images are downscaled to this width.")] = 960
-    held_out: Annotated[int, Meta(
-        ge=0, title="Held out", extra={"commands": "recolor"},
-        description="Hold out every Nth view for measuring; 0: none.")] = 8
-    polish: Annotated[int, Meta(
-        ge=0, le=100_000, title="Polish steps", extra={"option": "photometric-steps", "commands": "recolor"},
-        description="Final steps on absolute differences and structure (D-SSIM), of colors alone; needs torch.")] = 0
-    refine: Annotated[int, Meta(
-        ge=0, le=100_000, title="Refine steps", extra={"on": 300, "commands": "recolor"},
-        description="Final steps that train all parameters; needs torch.")] = 0
-    replace_clear: Annotated[bool, Meta(
-        title="Replace clear colors", extra={"option": "replace", "commands": "recolor"},
-        description="Replace the clear colors instead of adding wet ones.")] = False
-    # fmt: on
-    colors: RecolorSettings = msgspec.field(default_factory=RecolorSettings)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

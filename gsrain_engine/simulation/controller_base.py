@@ -1,14 +1,13 @@
 """Controllers: protocol, settings, pure pursuit and preparation of plans for tracking."""
 
-from typing import Annotated, Literal, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float64
-from msgspec import Meta
 
-from ..settings import Settings
 from .geometry import arc_lengths, points_along, wrap_angle
 from .vehicle import Control, Vehicle, VehicleState
+from .vehicle_settings import HeadingReference
 
 
 @runtime_checkable
@@ -23,42 +22,6 @@ class Controller(Protocol):
         `plan` is in the vehicle's current frame (x forward, y left, meters), n >= 1.
         """
         ...
-
-
-HeadingReference = Literal["tangent", "hugsim"]
-
-
-class ControllerSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Choice of a controller and its limits."""
-
-    kind: Annotated[
-        Literal["ilqr", "pure-pursuit"],
-        Meta(title="Path tracker", description="nuPlan's tracker, as HUGSIM uses it, or the plain geometric one."),
-    ] = "ilqr"
-    heading_reference: Annotated[
-        HeadingReference,
-        Meta(
-            title="Tracker target heading",
-            description="Heading that the tracker wants: the plan's own, or HUGSIM's published arctan2 of swapped "
-            "arguments, with all else as published too, to reproduce its numbers.",
-        ),
-    ] = "tangent"
-    iterations: Annotated[int, Meta(ge=1, le=1000, title="Iterations")] = 100
-    most_acceleration_m_s2: Annotated[
-        float,
-        Meta(gt=0, le=20, title="Max. acceleration", description="That the tracker asks for; nuPlan's.",
-             extra={"unit": "m/s\u00b2"}),
-    ] = 3.0  # fmt: skip
-    most_braking_m_s2: Annotated[
-        float,
-        Meta(
-            gt=0,
-            le=20,
-            title="Max. braking",
-            description="That the tracker asks for, whatever the vehicle could do; nuPlan's and HUGSIM's is 3.",
-            extra={"unit": "m/s\u00b2"},
-        ),
-    ] = 3.0
 
 
 # Pure pursuit

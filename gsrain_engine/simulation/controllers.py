@@ -7,9 +7,10 @@ import numpy as np
 from jaxtyping import Float64
 
 from ..kernels import NOGIL
-from .controller_base import Controller, ControllerSettings, PurePursuit, make_reachable, tracked_states
+from .controller_base import Controller, PurePursuit, make_reachable, tracked_states
 from .geometry import wrap_angle
 from .vehicle import Control, Vehicle, VehicleState
+from .vehicle_settings import ControllerSettings
 
 
 class ILQRTracker:

@@ -1,14 +1,11 @@
 """Friction of tires on wet roads by speed and depth of the water: braking, cornering and hydroplaning."""
 
 import math
-from typing import Literal
 
 from ..rain.air import GRAVITY_M_S2
 from ..rain.simulation import RainSimulation
 from ..water.films import WaterFilms
 from ..water.spray import displaced_mm
-
-Friction = Literal["dry", "wet"]
 
 TIRE_KPA = 220.0
 """Inflation pressure of a passenger car's tires."""

@@ -11,9 +11,6 @@ from ..scene.camera import Camera
 from .geometry import PlanarBox
 from .vehicle import Vehicle, VehicleState
 
-BACKGROUND = "background"
-"""Value of `RolloutStep.collision` for a hit that is not a road user."""
-
 
 class EgoRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Ego state at one step: center of the rear axle on the ground. World frame."""

@@ -22,7 +22,7 @@ from .interop.hugsim_scenario import hugsim_scenario, is_hugsim_scenario
 from .interop.openscenario_read import read_openscenario
 from .scenario import Scenario, ScenarioUser
 from .traffic.appearance import ACTOR
-from .traffic.tracks import Replay
+from .traffic.settings import Replay
 
 _FOLDER = "scenarios"
 

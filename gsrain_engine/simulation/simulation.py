@@ -30,13 +30,14 @@ from .geometry import PlanarBox, Route, RouteCoordinates
 from .ground import RoadSurface, recorded_route, road_surface_of
 from .metrics.summary import ScoredRun
 from .obstacles import OccupiedSpace, drivable_of, occupied_space_of
-from .rollout import BACKGROUND, EgoRecord, Rollout, RolloutStep, UserModel, UserRecord
+from .rollout import EgoRecord, Rollout, RolloutStep, UserModel, UserRecord
 from .scenario import Scenario, ScenarioUser, Traffic, start_state
 from .scenario_io import load_scenario
 from .sensors import RigRenderer, camera_of_width, needed_cameras, rig_cameras
 from .traffic.appearance import ACTOR, VehicleModel, scale_gaussians
-from .traffic.base import EGO, RoadUser, ego_user
+from .traffic.base import RoadUser, ego_user
 from .vehicle import Control, Vehicle, VehicleState, grip_share, limit_control, step_bicycle, vehicle_box, yaw_rate
+from .vehicle_settings import BACKGROUND, EGO
 
 logger = logging.getLogger("gsrain")
 _SEEDS = 2**32

@@ -25,7 +25,8 @@ from ..scene.formats.hugsim import is_vehicle_folder
 from ..scene.lamp_choice import lamp_choice
 from ..scene.open import file_hash, scene_hash
 from ..scene.sensor import DEFAULT_SENSOR, load_sensor, sensor_names
-from ..simulation.agents.registry import HUGSIM, agent_file, agent_names
+from ..simulation.agents.options import HUGSIM
+from ..simulation.agents.registry import agent_file, agent_names
 from ..simulation.scenario import Scenario
 from ..simulation.scenario_io import load_scenario
 from .settings import AgentChoice, DriveSweep, RenderSweep, Sweep, Variant, apply_jitter, seeds_of

@@ -5,25 +5,17 @@ from itertools import product
 from pathlib import Path
 from typing import Annotated, Literal
 
-import numpy as np
 from msgspec import Meta, structs
 
-from ..choices import LAMP_WORDS, Backend, LabelFormat
-from ..evaluation.attribution.factors import factor_names, is_attributed
+from ..choices import FACTORS, LAMP_WORDS, Backend, Friction, LabelFormat
 from ..evaluation.detection.description import description_names
 from ..presets import load_config, shipped_config_names
-from ..rain.calibration import calibration_names
 from ..rain.settings import HEAVIEST_MM_H, RainSettings, load_preset
-from ..rain.wetness import with_wet_choice
 from ..render.export_settings import ExportSettings
 from ..safe_io.errors import convert_checked
-from ..scene.built_in import DEFAULT_SCENE
-from ..scene.sensor import load_sensor, sensor_names
 from ..settings import Settings
-from ..simulation.agents.registry import HUGSIM, agent_names
-from ..simulation.friction import Friction
-from ..simulation.scenario import Scenario
-from ..simulation.scenario_io import scenario_names
+from ..simulation.agents.options import HUGSIM
+from ..simulation.scenario_settings import Scenario
 
 _FOLDER = "sweeps"
 _FILES = (
@@ -139,6 +131,9 @@ class Variant(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True, o
 
     def of(self, scenario: Scenario) -> Scenario:
         """Return the scenario with these choices, before its start is varied by a seed."""
+        from ..rain.wetness import with_wet_choice  # kernels, which the help of commands does without
+        from ..scene.sensor import load_sensor
+
         rain, users = scenario.rain, scenario.road_users
         if self.preset is not None:
             rain = load_preset(self.preset)
@@ -236,13 +231,15 @@ class DriveSweep(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True
             title="Attribute",
             extra={"commands": "sweep"},
             description="Also drive with parts of the rain, for the share of each in its effect: all that it has, or "
-            f"those of a list, of which it then consists ({', '.join(factor_names())}).",
+            f"those of a list, of which it then consists ({', '.join(FACTORS)}).",
         ),
     ] = ()
     backend: DrawnBy = "auto"
     output: OutputFolder = None
 
     def __post_init__(self) -> None:
+        from ..evaluation.attribution.factors import is_attributed  # renderers, which the help does without, too
+
         super().__post_init__()
         is_attributed(self.attribute)  # raises for an unusable choice
 
@@ -294,6 +291,12 @@ def load_sweep(name: str | Path) -> Sweep:
     File names are resolved against the folder of the sweep file first, then the working folder; `output` only against
     the latter. Raises ValueError with the file, the field and what is allowed.
     """
+    from ..rain.calibration import calibration_names
+    from ..scene.built_in import DEFAULT_SCENE
+    from ..scene.sensor import sensor_names
+    from ..simulation.agents.registry import agent_names
+    from ..simulation.scenario_io import scenario_names
+
     known = {
         HUGSIM,
         DEFAULT_SCENE,
@@ -323,6 +326,8 @@ def apply_jitter(scenario: Scenario, jitter: Jitter, seed: int) -> Scenario:
     """
     if seed == 0:
         return scenario
+    import numpy as np
+
     random = np.random.default_rng([seed, zlib.crc32(scenario.name.encode())])
 
     def draw(sigma: float) -> float:
@@ -343,4 +348,4 @@ def apply_jitter(scenario: Scenario, jitter: Jitter, seed: int) -> Scenario:
 
 
 def _speed(value: float) -> float:
-    return float(np.clip(value, 0.0, _FASTEST_M_S))
+    return min(max(value, 0.0), _FASTEST_M_S)

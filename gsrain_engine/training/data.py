@@ -18,7 +18,8 @@ from ..evaluation.image_metrics import Mask
 from ..safe_io.file_names import shortened
 from ..scene.camera import Camera
 from .evaluation import validation_indices
-from .settings import LEVELS, TrainingSettings
+from .schedule import LEVELS
+from .settings import TrainingSettings
 
 
 class ReconstructionTask(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

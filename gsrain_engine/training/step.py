@@ -21,7 +21,7 @@ from .free_space import DeviceFreeSpace, FreeSpaceCarving, clear_free_space
 from .losses import robust_mask, view_loss
 from .model import SplatModel, TrainingRender
 from .parameters import AdamStep, foreach_adam_step, fused_adam_step
-from .settings import TrainingSchedule, view_order
+from .schedule import TrainingSchedule, view_order
 from .strategy import Strategy
 from .targets import TargetCache
 

@@ -36,7 +36,8 @@ from .init import actor_layers, initial_gaussians, initial_sky
 from .mcmc import MCMCSettings, MCMCStrategy
 from .model import SplatModel, scene_of
 from .parameters import SplatParameters
-from .settings import TrainingSchedule, TrainingSettings, camera_extent
+from .schedule import TrainingSchedule, camera_extent
+from .settings import TrainingSettings
 from .step import Trainer, comparison_image
 from .strategy import DefaultStrategy, DefaultStrategySettings, Strategy
 from .surfels import camera_trajectory

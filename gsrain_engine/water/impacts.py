@@ -18,8 +18,8 @@ from jaxtyping import Bool, Float64, Int64, UInt32
 from ..kernels import NOGIL
 from ..rain.calibration import Calibration
 from ..rain.pcg_hash import pcg4d_scalar
-from ..rain.properties import LARGEST_MM, SMALLEST_MM, fall_speed, rain_properties
-from ..rain.settings import RainSettings
+from ..rain.properties import fall_speed, rain_properties
+from ..rain.settings import LARGEST_MM, SMALLEST_MM, RainSettings
 from ..rain.simulation import RainSimulation
 
 CELL_M = 1.0

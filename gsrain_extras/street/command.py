@@ -4,22 +4,16 @@ import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
-
-import numpy as np
+from typing import TYPE_CHECKING, Annotated
 
 from app.console import print, progress_bar
 from app.options import JsonFile, check_within, option
 from app.outputs import check_scene_folder, check_writable, lock_outputs, write_numbers
-from gsrain_engine.datasets.capture import CaptureFrame
-from gsrain_engine.datasets.capture_folder import write_views
 from gsrain_engine.optional_packages import require_package
-from gsrain_engine.scene.formats.scene_files import write_scene
-from gsrain_engine.scene.open import load_built_in
-from gsrain_engine.scene.rig import rig_camera
-from gsrain_engine.scene.scene import Scene
 
-from .build import street_surfaces
+if TYPE_CHECKING:
+    from gsrain_engine.datasets.capture import CaptureFrame
+    from gsrain_engine.scene.scene import Scene
 
 
 def street(
@@ -32,6 +26,10 @@ def street(
     json: JsonFile = None,
 ) -> None:
     """Write the built-in street: Gaussians, tracks, rigs, and true images with depth, normals and labels."""
+    from gsrain_engine.datasets.capture_folder import write_views
+    from gsrain_engine.scene.formats.scene_files import write_scene
+    from gsrain_engine.scene.open import load_built_in
+
     check_within("--moments", moments, 0, 1000)
     check_within("--width", width, 16, 4096)
     if moments and sys.platform != "linux":
@@ -55,8 +53,13 @@ def street(
     write_numbers(json, {"gaussians": scene.gaussian_count, "views": views})
 
 
-def _photographs(scene: Scene, rig: str, moments: int, width: int) -> Iterator[CaptureFrame]:
+def _photographs(scene: "Scene", rig: str, moments: int, width: int) -> "Iterator[CaptureFrame]":
     """Render the mesh with every camera of a rig, at times spread over the drive."""
+    import numpy as np
+
+    from gsrain_engine.scene.rig import rig_camera
+
+    from .build import street_surfaces
     from .ground_truth import StreetViews  # loads pyrender and OpenGL only here
 
     assert scene.ego is not None

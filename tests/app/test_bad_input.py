@@ -117,15 +117,6 @@ bench render --sizes 48x32,7                         | --sizes 7
 bench render --rain 1,,2                             | --rain '1,,2'
 bench render --rain much                             | --rain much
 bench loading --formats .sog                         | --formats .sog
-evaluate streaks real --frames 4                     | --frames 4
-evaluate streaks empty --exposure 0.004,,0.01        | --exposure 0.004,,0.01
-evaluate streaks empty --window 1,2,3                | --window 1,2,3
-evaluate streaks empty --conditions none             | conditions none: no such file
-evaluate streaks empty --report page.html            | --report page.html
-evaluate rain-gauge empty --focal-px 0 --shutter 0.002 | --focal-px
-evaluate rain-gauge empty --focal-px 900 --shutter 2 | --shutter
-evaluate rain-gauge empty --focal-px 900 --shutter 0.002 | no images
-evaluate rain-gauge pictures --focal-px 900 --shutter 0.002 | pictures
 evaluate consistency                                 | DIR
 evaluate consistency pictures                        | pictures
 evaluate fid pictures pictures --extractor eyes      | --extractor eyes

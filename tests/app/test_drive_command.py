@@ -79,8 +79,8 @@ def test_an_oracle_stops_at_every_intensity(scenario, tmp_path, reported):
 def test_a_client_that_can_not_start_is_refused_before_the_scene_is_read(
     client, words, scenario, tmp_path, capsys, monkeypatch
 ):
-    monkeypatch.setattr("app.drive.load_sorted_scene", lambda scene: pytest.fail("the scene was read"))
-    monkeypatch.setattr("app.drive.scene_hash", lambda scene: pytest.fail("the scene was read"))
+    monkeypatch.setattr("gsrain_engine.scene.open.load_sorted_scene", lambda scene: pytest.fail("the scene was read"))
+    monkeypatch.setattr("gsrain_engine.scene.open.scene_hash", lambda scene: pytest.fail("the scene was read"))
     monkeypatch.setattr(hugsim_agent, "_START_S", 60.0)  # a slow machine
     folders = ("-o", tmp_path / "out", "--hugsim-dir", tmp_path / "pipes")
     assert drive(scenario, *folders, "--hugsim-client", client) == BAD_INPUT

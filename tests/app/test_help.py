@@ -7,8 +7,11 @@ import sys
 import pytest
 from cyclopts import App
 
-from app.main import app, options_in_help, run
+from app.main import app, installed_evaluations, options_in_help, run
 from app.options import TOPICS, all_listed
+from gsrain_engine.choices import FACTORS, READ_FORMATS, WRITTEN_FORMATS
+from gsrain_engine.evaluation.attribution.factors import factor_names
+from gsrain_engine.scene.formats.registry import FORMATS
 from repository import REPOSITORY
 
 MAX_SHOWN = 25
@@ -22,7 +25,14 @@ def commands(parent: App = app, words: tuple[str, ...] = ()):
             yield from commands(parent[name], (*words, name))
 
 
-COMMANDS = [(), *commands()]
+with installed_evaluations():
+    COMMANDS = [(), *commands()]
+
+
+@pytest.fixture(autouse=True)
+def _with_installed_evaluations():
+    with installed_evaluations():
+        yield
 
 
 def command_of(words: tuple[str, ...]) -> App:
@@ -77,20 +87,26 @@ def test_a_rare_option_works_without_being_listed():
 # Time
 
 
-HEAVY = "torch scipy numba cv2 moderngl pandas matplotlib PIL zstandard onnxruntime imgui_bundle"
-AT_ONCE = [
-    "", "bench", "evaluate", "render", "publish", "serve", "export-rain", "night", "edit", "schema", "doctor",
-    "evaluate streaks", "evaluate rain-gauge", "evaluate detection", "evaluate lidar",
-]  # fmt: skip
-"""Commands whose help is there as soon as that of the program."""
+HEAVY = "torch numpy scipy numba cv2 av moderngl pandas matplotlib PIL zstandard onnxruntime imgui_bundle"
 
 
-@pytest.mark.parametrize("command", AT_ONCE)
-def test_help_loads_nothing_heavy(command):
+@pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
+def test_help_loads_nothing_heavy(words):
     program = (
         "import sys; from app.main import run; code = run(sys.argv[2:]);"
         "sys.exit(code or ' '.join({each.partition('.')[0] for each in sys.modules} & set(sys.argv[1].split())) or 0)"
     )
-    words = [sys.executable, "-c", program, HEAVY, *command.split(), "--help"]
-    done = subprocess.run(words, check=False, capture_output=True, text=True, cwd=REPOSITORY)
+    command = [sys.executable, "-c", program, HEAVY, *words, "--help"]
+    done = subprocess.run(command, check=False, capture_output=True, text=True, cwd=REPOSITORY)
     assert (done.returncode, done.stderr) == (0, ""), done.stderr
+
+
+def test_the_choices_of_help_texts_are_those_of_the_engine():
+    assert tuple(each.suffix for each in FORMATS) == READ_FORMATS
+    assert tuple(each.suffix for each in FORMATS if each.write is not None) == WRITTEN_FORMATS
+    assert factor_names() == FACTORS
+
+
+def test_the_agent_comes_before_its_options():
+    options = options_in_help(command_of(("drive",)).assemble_argument_collection())
+    assert options.index("--agent") < options.index("--detector") < options.index("--hugsim-dir")

@@ -62,7 +62,7 @@ def test_too_little_address_space_is_one_sentence(size_mib):
 
 def test_a_library_that_can_t_be_loaded_is_one_sentence(monkeypatch, capsys):
     missing = "libGL.so.1: cannot open shared object file"
-    monkeypatch.setattr("app.scene.load_scene", lambda name: (_ for _ in ()).throw(ImportError(missing)))
+    monkeypatch.setattr("gsrain_engine.scene.open.load_scene", lambda name: (_ for _ in ()).throw(ImportError(missing)))
     assert run(["info", "street"]) == BAD_INPUT
     (error,) = capsys.readouterr().err.splitlines()
     assert missing in error and "gsrain doctor" in error
@@ -110,11 +110,11 @@ def test_output_that_nobody_reads_ends_without_a_word():
     program = """
 import sys
 from app.main import run
-import app.scene as info
+import gsrain_engine.scene.open as scenes
 def talk(name):
     for _ in range(100_000):
         print("street")
-info.load_scene = talk
+scenes.load_scene = talk
 raise SystemExit(run(["info", "street"]))
 """
     with subprocess.Popen(

@@ -37,8 +37,6 @@ OUTPUTS = {
     "bench render": ["--json OUT"],
     "bench loading": ["--json OUT"],
     "bench recoloring": ["--json OUT"],
-    "evaluate streaks": ["none --report OUT.md", "none --json OUT"],
-    "evaluate rain-gauge": ["none --focal-px 1000 --shutter 0.002 --json OUT"],
     "evaluate consistency": ["none --contact-sheet OUT.png", "none --report OUT.html", "none --json OUT"],
     "evaluate fid": ["none none --report OUT.html", "none none --json OUT"],
     "evaluate transfers": ["paper -o OUT", "paper -o ok --json OUT"],

@@ -45,8 +45,6 @@ FILES = (
     "drive cut-in --agent {}.py -o {out}",
     "drive cut-in --scene {}.ply -o {out}",
     "evaluate images {}.png {}.png",
-    "evaluate streaks {}",
-    "evaluate rain-gauge {}.mp4 --focal-px 900 --shutter 0.002",
     "evaluate lpips-weights {}.npz -o {out}.npz",
     "evaluate lpips-weights {}.ckpt -o {out}.npz",
 )

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from gsrain_engine.simulation import controller_base, controllers
 from gsrain_engine.simulation.geometry import Route
 from gsrain_engine.simulation.vehicle import Vehicle, VehicleState, step_bicycle
+from gsrain_engine.simulation.vehicle_settings import ControllerSettings
 
 CAR = Vehicle()
 AHEAD = np.stack([2.5 * np.arange(1, 7), np.zeros(6)], axis=1)
@@ -19,7 +20,7 @@ DT, WHEELBASE = 0.5, 2.7
 
 
 def tracker(**fields) -> controller_base.Controller:
-    return controllers.open_controller(controller_base.ControllerSettings(**fields))
+    return controllers.open_controller(ControllerSettings(**fields))
 
 
 def test_the_published_heading_gives_the_published_controls():

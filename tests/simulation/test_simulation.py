@@ -9,10 +9,10 @@ import pytest
 from gsrain_engine.backends import open_renderer
 from gsrain_engine.scene.open import load_built_in
 from gsrain_engine.simulation.agents.base import SensorRequirements, Trajectory
-from gsrain_engine.simulation.rollout import BACKGROUND
 from gsrain_engine.simulation.rollout_io import read_rollout, write_rollout
 from gsrain_engine.simulation.simulation import Simulation, drive_scene, run_drive
 from gsrain_engine.simulation.vehicle import Control
+from gsrain_engine.simulation.vehicle_settings import BACKGROUND
 from simulation.small_drive import StraightOn, box_actor, driven, in_other_units, lead, scenario, scene_with_box, track
 from small_scene import small_scene
 

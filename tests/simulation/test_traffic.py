@@ -15,7 +15,8 @@ from gsrain_engine.simulation.rollout_io import write_rollout
 from gsrain_engine.simulation.scenario import Traffic
 from gsrain_engine.simulation.simulation import RoadScene
 from gsrain_engine.simulation.traffic import base
-from gsrain_engine.simulation.traffic.models import BehaviorSettings
+from gsrain_engine.simulation.traffic.models import begin_behavior
+from gsrain_engine.simulation.traffic.settings import BehaviorSettings
 from simulation.small_drive import box_actor, in_other_units, lead, scenario, scene_with_box, track
 from small_rollout import ego, rollout, step, user
 from small_scene import small_scene
@@ -42,7 +43,7 @@ def settings(**fields):
 
 def moves(behaviour, me, duration_s, *, ego=NOWHERE, others=(), route=STRAIGHT, dt_s=0.25, scene=None):
     """Move one road user; returns it at each moment, the start first. The ego vehicle and others keep their speeds."""
-    rule = behaviour.begin(scene or Scene("none"), 0.0)
+    rule = begin_behavior(behaviour, scene or Scene("none"), 0.0)
     assert isinstance(rule, base.Behavior)
     now = rule.start(me)
     path = [now]
@@ -148,7 +149,7 @@ def test_the_track_of_an_actor_whatever_place_the_scenario_states():
     assert [each.x_m for each in slow[::2]] == pytest.approx([each.x_m for each in path[: len(slow[::2])]])
     assert slow[4].speed_m_s == pytest.approx(path[2].speed_m_s / 2)
     with pytest.raises(ValueError, match="'bus'"):
-        settings(kind="track", actor="bus").begin(scene, 0.0)
+        begin_behavior(settings(kind="track", actor="bus"), scene, 0.0)
 
 
 def test_a_replay_is_where_the_drive_had_it(tmp_path):
@@ -164,7 +165,7 @@ def test_a_replay_is_where_the_drive_had_it(tmp_path):
     assert (path[-1].x_m, path[-1].speed_m_s) == (pytest.approx(6.0 + 1.0), 0.0)
     for file, name, word in (("nowhere.jsonl", "van", "nowhere"), (drive_file, "bus", "'bus'")):
         with pytest.raises(ValueError, match=word):
-            settings(kind="replay", rollout=file, user=name).begin(small_scene(), 0.0)
+            begin_behavior(settings(kind="replay", rollout=file, user=name), small_scene(), 0.0)
 
 
 # Everybody

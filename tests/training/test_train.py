@@ -14,7 +14,8 @@ from gsrain_engine.scene.formats.scene_files import read_scene
 from gsrain_engine.scene.progress import Progress, run_to_end
 from gsrain_engine.training.data import ReconstructionTask
 from gsrain_engine.training.evaluation import validation_indices
-from gsrain_engine.training.settings import TrainingSchedule, TrainingSettings, load_settings, view_order
+from gsrain_engine.training.schedule import TrainingSchedule, view_order
+from gsrain_engine.training.settings import TrainingSettings, load_settings
 from gsrain_engine.training.train import TrainingReport, reconstruct
 from gsrain_engine.training_run import CheckpointError
 from small_capture import small_capture

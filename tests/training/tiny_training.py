@@ -10,7 +10,8 @@ from gsrain_engine.training.free_space import FreeSpaceCarving
 from gsrain_engine.training.mcmc import MCMCSettings, MCMCStrategy
 from gsrain_engine.training.model import SplatModel
 from gsrain_engine.training.parameters import SplatParameters
-from gsrain_engine.training.settings import TrainingSchedule, TrainingSettings
+from gsrain_engine.training.schedule import TrainingSchedule
+from gsrain_engine.training.settings import TrainingSettings
 from gsrain_engine.training.step import Trainer
 from gsrain_engine.training.strategy import DefaultStrategy, DefaultStrategySettings, Strategy
 

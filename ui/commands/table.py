@@ -594,8 +594,6 @@ gsrain transfer SCENE -o no-attention --method cyclegan-turbo --weights FILE --n
 gsrain evaluate consistency full no-normals no-attention --contact-sheet ablations.png
 """
 EVALUATIONS = {
-    "streaks": ("app.evaluate.streaks:streaks", "Compare rendered rain streaks with real ones."),
-    "rain-gauge": ("app.evaluate.rain_gauge:rain_gauge", "Rain rate in frames of a static camera, by their streaks."),
     "consistency": ("app.evaluate.consistency:consistency", _CONSISTENCY),
     "fid": ("app.evaluate.images:fid", "FID and KID of images to real ones, with confidence intervals."),
     "transfers": ("app.evaluate.transfers:transfers", "Compare transfers, as the paper does: table and figure."),
@@ -605,7 +603,7 @@ EVALUATIONS = {
     "detection": ("app.evaluate.detection:detection", "Effect of rain on object detectors, by intensity."),
     "lidar": ("app.evaluate.lidar:lidar", "A lidar in rain: true, lost and false returns by range."),
 }
-"""Commands of `gsrain evaluate`."""
+"""Commands of `gsrain evaluate`, besides those of entry points."""
 
 BENCHMARKS = {
     "render": ("app.bench:render", "Time frames of fixed scenes, with and without rain."),

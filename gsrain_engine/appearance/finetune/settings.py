@@ -11,11 +11,57 @@ from msgspec import Meta
 from ...presets import load_values, shipped_config_names
 from ...safe_io.errors import convert_checked
 from ...settings import Settings
-from ..cyclegan_turbo.weight_paths import data_folder, hub_snapshots
 from ..dsine_checkout import check_checkout, checkout_code
-from .dataset import ImageSettings
 
 Weight = Annotated[float, Meta(ge=0, le=100)]
+
+
+class ImageSource(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Images of one data set, filtered by its own weather labels."""
+
+    # fmt: off
+    path: Annotated[str, Meta(
+        title="Path", description="Any capture, data set or folder of pictures.")]
+    weather: Annotated[Literal["any", "clear", "rainy"], Meta(
+        title="Weather", description="Only pictures that the data set labels so; any: all there are.")] = "any"
+    daytime: Annotated[bool, Meta(
+        title="Daytime", description="Leave out what is labelled as night or twilight.")] = True
+    count: Annotated[Annotated[int, Meta(ge=1)] | None, Meta(
+        title="Count", description="So many, spread evenly over its sequences; none: all.")] = None
+    # fmt: on
+
+
+class ImageSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Two unpaired sets of images, their framing, and the guide for the encoder's fourth channel."""
+
+    # fmt: off
+    clear: Annotated[tuple[ImageSource, ...], Meta(
+        min_length=1, title="Clear", extra={"commands": "train-transfer"},
+        description="Captures or folders of images in dry weather.")]
+    rainy: Annotated[tuple[ImageSource, ...], Meta(
+        min_length=1, title="Rainy", extra={"commands": "train-transfer"},
+        description="Captures or folders of images in rain.")]
+    test_share: Annotated[float, Meta(
+        ge=0, lt=1, title="Test share", description="Share of each source that is never trained on.")] = 0.2
+    width_px: Annotated[int, Meta(ge=16, le=4096, multiple_of=8, title="Width", extra={"unit": "px"})] = 512
+    height_px: Annotated[int, Meta(ge=16, le=4096, multiple_of=8, title="Height", extra={"unit": "px"})] = 512
+    framing: Annotated[Literal["stretch", "crop"], Meta(
+        title="Framing",
+        description="stretch: as the paper, whatever the proportions. crop: their middle.")] = "stretch"
+    guide: Annotated[Literal["up", "luma", "none"], Meta(
+        title="Guide", description="Fourth channel of the encoder: up-ness of surfaces, their luma, or none.")] = "up"
+    normals: Annotated[str, Meta(
+        title="Normals", extra={"commands": "train-transfer"},
+        description="Source of normals for pictures without depth: dsine, marigold, none.")] = "none"
+    normals_weights: Annotated[str | None, Meta(
+        title="Weights for normals", extra={"commands": "train-transfer"},
+        description="File of DSINE (none: see gsrain doctor), or folder of Marigold.")] = None
+    normals_checkout: Annotated[str | None, Meta(
+        title="Checkout for normals", extra={"commands": "train-transfer"},
+        description="Your own copy of DSINE's program; none: see gsrain doctor.")] = None
+    seed: Annotated[int, Meta(
+        ge=0, le=2**31 - 1, title="Seed", description="Seed that draws the test pictures.")] = 0
+    # fmt: on
 
 
 class LossWeights(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -257,6 +303,8 @@ def find_clip(folder: Path | None = None) -> Path:
 
     Raises FileNotFoundError with the folders searched and download instructions.
     """
+    from ..cyclegan_turbo.weight_paths import data_folder, hub_snapshots  # loads NumPy, which help does without
+
     named = folder or os.environ.get(PLACE)
     places = (Path(named),) if named else (data_folder() / _OWN, *hub_snapshots(_HUB_NAME))
     for place in places:

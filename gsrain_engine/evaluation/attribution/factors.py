@@ -3,10 +3,11 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 from msgspec import structs
 
+from ...choices import Friction
 from ...rain.settings import RainSettings
 from ...rain.wetness import OVERCAST_MM_H, SOFTENED_ABOVE_MM_H, wetness
 from ...render.passes import registry
@@ -15,8 +16,6 @@ from ...scene.built_in import DEFAULT_SCENE, built_in_scene
 from ...scene.open import is_built_in
 from .shapley import Coalition, coalitions_of
 
-Friction = Literal["dry", "wet"]
-"""Friction of a drive, as in `simulation.friction`."""
 ALL, NO_FACTORS = "all", "none"
 """Words for all factors that a rain has, and for no attribution."""
 

@@ -1,60 +1,23 @@
 """Lidar sensor model: beams, detection threshold by range, noise, and sensor presets."""
 
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64
-from msgspec import Meta
 
-from ...settings import Settings
+from .settings import SENSOR_NAMES, SensorSettings
 
 STATED_REFLECTANCE = 0.1
 """Makers state the range at which a matt surface of this reflectance is just detected at normal incidence."""
 
 
-class LidarSensor(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class LidarSensor(SensorSettings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A pulsed lidar. Power is relative to the detection threshold, without absolute units.
 
     A surface that fills the beam returns P = P0 rho cos / r^2 exp(-2 beta r) (the lidar equation; Rasshofer, Spies and
     Spies 2011, Advances in Radio Science 9, eq. 1-4), and P0 follows from `range_m`.
     """
-
-    name: str
-    elevations_deg: Annotated[tuple[Annotated[float, Meta(ge=-60, le=60)], ...], Meta(min_length=1, title="Elevations")]
-    """Of each ring of beams, upward; required for virtual scans."""
-    azimuth_step_deg: Annotated[float, Meta(ge=0.02, le=10, title="Azimuth step", extra={"unit": "deg"})] = 0.2
-    azimuth_limit_deg: Annotated[float, Meta(gt=0, le=180, title="Azimuth to either side", extra={"unit": "deg"})] = 180
-    wavelength_nm: Annotated[Literal[905, 1550], Meta(title="Wavelength", extra={"unit": "nm"})] = 905
-    range_m: Annotated[float, Meta(
-        ge=1, le=1000, title="Range at 10 %",
-        extra={"unit": "m", "option": "range-10", "commands": "evaluate lidar"},
-        description="Range at which 10 % reflectance is just detected, without rain.")] = 100.0  # fmt: skip
-    farthest_m: Annotated[float, Meta(ge=1, le=2000, title="Longest range", extra={"unit": "m"})] = 250.0
-    """Maximum range of the receiver."""
-    blind_m: Annotated[float, Meta(ge=0, le=50, title="Blind up to", extra={"unit": "m"})] = 0.9
-    """Range below which the receiver sees nothing of the beam. Up to `clear_m` its overlap rises linearly to 1."""
-    clear_m: Annotated[float, Meta(gt=0, le=50, title="Sees all from", extra={"unit": "m"})] = 1.0
-    least_reflectance: Annotated[float, Meta(
-        ge=0, le=0.1, title="Least reflectance", extra={"option": "min-reflectance", "commands": "evaluate lidar"},
-        description="Detection limit at any distance: receivers reduce their gain for near echoes. "
-        "0 is a constant gain.")] = 3e-4  # fmt: skip
-    """Makers don't state it, and the number of false returns depends on it: near drops return 1e-5 to 1e-3 of a beam.
-    At a constant gain one in twelve returns of RainSense's sensor at 9.2 mm/h would be a drop, but there are none: its
-    limit is 1e-4 or more."""
-    beam_mm: Annotated[float, Meta(ge=8, le=100, title="Beam at the window", extra={"unit": "mm"})] = 12.0
-    """Diameter; at least the largest drop's."""
-    divergence_mrad: Annotated[float, Meta(ge=0, le=20, title="Divergence", extra={"unit": "mrad"})] = 3.0
-    """Full angle."""
-    pulse_m: Annotated[float, Meta(gt=0, le=5, title="Pulse", extra={"unit": "m"})] = 0.75
-    """Half the pulse's length: closer echoes merge. 5 ns."""
-    range_sigma_m: Annotated[float, Meta(ge=0, le=1, title="Range noise", extra={"unit": "m"})] = 0.05
-    """Standard deviation of the range of an echo at the detection threshold."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.clear_m < self.blind_m:
-            raise ValueError(f"clear_m must be at least blind_m, got {self.clear_m} and {self.blind_m}")
 
     def beam_width_m(self, range_m: Float[np.ndarray, "*n"]) -> Float64[np.ndarray, "*n"]:
         """Diameter of the beam: sqrt(d0^2 + (divergence r)^2), with uniform intensity inside."""
@@ -89,20 +52,21 @@ def _generic(name: str, low_deg: float, high_deg: float, rows: int, **values: An
     return LidarSensor(name=name, elevations_deg=elevations, **values)
 
 
-SENSORS: dict[str, LidarSensor] = {
-    "32": _generic("32 beams, 905 nm, 50 m at 10 %", -30.67, 10.67, 32, range_m=50.0, farthest_m=100.0),
-    "64": _generic(
+_GENERIC = (
+    _generic("32 beams, 905 nm, 50 m at 10 %", -30.67, 10.67, 32, range_m=50.0, farthest_m=100.0),
+    _generic(
         "64 beams, 905 nm, 80 m at 10 %", -24.8, 2.0, 64, range_m=80.0, farthest_m=150.0, divergence_mrad=2.0
     ),
-    "128": _generic(
+    _generic(
         "128 beams, 905 nm, 200 m at 10 %", -25.0, 15.0, 128, range_m=200.0, farthest_m=300.0, divergence_mrad=1.5,
         beam_mm=15.0,
     ),
-    "1550": _generic(
+    _generic(
         "forward, 80 rows, 1550 nm, 250 m at 10 %", -15.0, 10.0, 80, azimuth_step_deg=0.15, azimuth_limit_deg=60.0,
         wavelength_nm=1550, range_m=250.0, farthest_m=500.0, divergence_mrad=1.0, beam_mm=25.0,
     ),
-}  # fmt: skip
+)  # fmt: skip
+SENSORS: dict[str, LidarSensor] = dict(zip(SENSOR_NAMES, _GENERIC, strict=True))
 """Generic sensor classes, by number of beams or wavelength; none is a specific product."""
 
 # Beams of one turn

@@ -47,3 +47,47 @@ class LidarSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields=T
         Meta(gt=0, le=1, title="Reflectance", description="Near-infrared reflectance of all surfaces of a scene.",
              extra={"commands": _COMMANDS}),
     ] = 0.2  # fmt: skip
+
+
+SENSOR_NAMES = ("32", "64", "128", "1550")
+"""Generic sensor classes of `sensor.SENSORS`: number of beams, or wavelength in nm."""
+
+
+class SensorSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Fields of a lidar, without its computations."""
+
+    name: str
+    elevations_deg: Annotated[tuple[Annotated[float, Meta(ge=-60, le=60)], ...], Meta(min_length=1, title="Elevations")]
+    """Of each ring of beams, upward; required for virtual scans."""
+    azimuth_step_deg: Annotated[float, Meta(ge=0.02, le=10, title="Azimuth step", extra={"unit": "deg"})] = 0.2
+    azimuth_limit_deg: Annotated[float, Meta(gt=0, le=180, title="Azimuth to either side", extra={"unit": "deg"})] = 180
+    wavelength_nm: Annotated[Literal[905, 1550], Meta(title="Wavelength", extra={"unit": "nm"})] = 905
+    range_m: Annotated[float, Meta(
+        ge=1, le=1000, title="Range at 10 %",
+        extra={"unit": "m", "option": "range-10", "commands": "evaluate lidar"},
+        description="Range at which 10 % reflectance is just detected, without rain.")] = 100.0  # fmt: skip
+    farthest_m: Annotated[float, Meta(ge=1, le=2000, title="Longest range", extra={"unit": "m"})] = 250.0
+    """Maximum range of the receiver."""
+    blind_m: Annotated[float, Meta(ge=0, le=50, title="Blind up to", extra={"unit": "m"})] = 0.9
+    """Range below which the receiver sees nothing of the beam. Up to `clear_m` its overlap rises linearly to 1."""
+    clear_m: Annotated[float, Meta(gt=0, le=50, title="Sees all from", extra={"unit": "m"})] = 1.0
+    least_reflectance: Annotated[float, Meta(
+        ge=0, le=0.1, title="Least reflectance", extra={"option": "min-reflectance", "commands": "evaluate lidar"},
+        description="Detection limit at any distance: receivers reduce their gain for near echoes. "
+        "0 is a constant gain.")] = 3e-4  # fmt: skip
+    """Makers don't state it, and the number of false returns depends on it: near drops return 1e-5 to 1e-3 of a beam.
+    At a constant gain one in twelve returns of RainSense's sensor at 9.2 mm/h would be a drop, but there are none: its
+    limit is 1e-4 or more."""
+    beam_mm: Annotated[float, Meta(ge=8, le=100, title="Beam at the window", extra={"unit": "mm"})] = 12.0
+    """Diameter; at least the largest drop's."""
+    divergence_mrad: Annotated[float, Meta(ge=0, le=20, title="Divergence", extra={"unit": "mrad"})] = 3.0
+    """Full angle."""
+    pulse_m: Annotated[float, Meta(gt=0, le=5, title="Pulse", extra={"unit": "m"})] = 0.75
+    """Half the pulse's length: closer echoes merge. 5 ns."""
+    range_sigma_m: Annotated[float, Meta(ge=0, le=1, title="Range noise", extra={"unit": "m"})] = 0.05
+    """Standard deviation of the range of an echo at the detection threshold."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.clear_m < self.blind_m:
+            raise ValueError(f"clear_m must be at least blind_m, got {self.clear_m} and {self.blind_m}")

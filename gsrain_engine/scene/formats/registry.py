@@ -82,7 +82,8 @@ FORMATS = (
 )
 """Built-in formats; `scene_suffixes` includes those of installed packages.
 
-Help texts, the table in docs/formats.md and the desktop's file types derive from this one.
+The table in docs/formats.md and the desktop's file types derive from this one; help texts have the suffixes of
+`choices`, which a test compares.
 """
 
 

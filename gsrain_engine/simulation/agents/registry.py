@@ -6,9 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from traceback import walk_tb
 from types import ModuleType
-from typing import Annotated, Any, NamedTuple
-
-from msgspec import Meta, Struct
+from typing import Any
 
 from ...evaluation.detection.detector import find_detector
 from ...optional_packages import has_package, missing_package
@@ -18,20 +16,7 @@ from .base import Agent, ConstantVelocityAgent
 from .http import HttpAgent
 from .idm import OracleIDMAgent
 from .neuroncap import NeuroNCAPBaselineAgent
-
-
-class AgentOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Options of agents."""
-
-    detector: Annotated[Path | None, Meta(
-        title="Detector", extra={"commands": "drive"},
-        description="ONNX file of an object detector, for agents that look at pictures.")] = None  # fmt: skip
-    description: Annotated[str | None, Meta(
-        title="Its description", extra={"commands": "drive*"},
-        description="A shipped detector description such as yolox, or a YAML file.")] = None  # fmt: skip
-    url: Annotated[str | None, Meta(
-        title="Address", extra={"commands": "drive"},
-        description="URL of a driving agent that runs elsewhere, such as http://localhost:9000.")] = None  # fmt: skip
+from .options import SHIPPED_AGENTS, AgentOptions
 
 
 def _camera_idm(options: AgentOptions) -> Agent:
@@ -55,27 +40,12 @@ def _without_options(kind: Callable[[], Agent]) -> Callable[[AgentOptions], Agen
     return lambda options: kind()
 
 
-class ShippedAgent(NamedTuple):
-    """An agent of this package."""
-
-    open: Callable[[AgentOptions], Agent]
-    help: str
-    """Verb phrase that follows its name in help texts."""
-    uses: tuple[str, ...] = ()
-    """Fields of `AgentOptions` that it uses."""
-
-
-HUGSIM = "hugsim"
-"""Agent that is none of the table: it needs a client and its pipes, and changes scene and scenario."""
-
-SHIPPED_AGENTS = {
-    "constant-velocity": ShippedAgent(_without_options(ConstantVelocityAgent), "holds its speed"),
-    "oracle-idm": ShippedAgent(_without_options(OracleIDMAgent), "uses the true positions of all road users"),
-    "camera-idm": ShippedAgent(_camera_idm, "uses a detector", ("detector", "description")),
-    "neuroncap-baseline": ShippedAgent(
-        _without_options(NeuroNCAPBaselineAgent), "brakes for what is in a corridor ahead"
-    ),
-    "http": ShippedAgent(_http, "asks a server", ("url",)),
+_OPENERS: dict[str, Callable[[AgentOptions], Agent]] = {
+    "constant-velocity": _without_options(ConstantVelocityAgent),
+    "oracle-idm": _without_options(OracleIDMAgent),
+    "camera-idm": _camera_idm,
+    "neuroncap-baseline": _without_options(NeuroNCAPBaselineAgent),
+    "http": _http,
 }
 
 
@@ -99,7 +69,7 @@ def open_agent(name: str, options: AgentOptions | None = None, *, trusted_only: 
     if (path := agent_file(name)) is not None:
         return _agent_in_file(path, name, options, trusted_only)
     if name in SHIPPED_AGENTS:
-        return SHIPPED_AGENTS[name].open(options)
+        return _OPENERS[name](options)
     if (extension := find_extension(AGENTS, name)) is not None:
         return _of_package(extension, options)
     raise ValueError(f"agent {name}: there is none of that name, only {', '.join(agent_names())}")

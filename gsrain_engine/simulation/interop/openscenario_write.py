@@ -22,7 +22,7 @@ from ...scene.scene import Scene
 from ..ground import recorded_route, road_surface_of
 from ..scenario import Scenario, ScenarioUser, Traffic, start_state
 from ..traffic.base import RoadUser, ego_user, gap_between
-from ..traffic.models import Brake, CutIn, Triggered
+from ..traffic.settings import Brake, CutIn, Triggered
 from ..vehicle import Vehicle
 from .openscenario_read import EGO, LANE_M, OWN_FIELDS, PROPERTY
 

@@ -8,6 +8,7 @@ from jaxtyping import Float64
 
 from ..geometry import PlanarBox, Route
 from ..vehicle import Vehicle, VehicleState, vehicle_box
+from ..vehicle_settings import EGO
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,10 +69,6 @@ class Behavior:
     def next(self, me: RoadUser, around: TrafficState, dt_s: float) -> RoadUser | None:
         """Return the state after a step, None while absent. `me` is the latest state, initially the placed one."""
         raise NotImplementedError
-
-
-EGO = "ego"
-"""Id of the ego vehicle, reserved."""
 
 
 def ego_user(vehicle: Vehicle, state: VehicleState) -> RoadUser:

@@ -3,22 +3,20 @@
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 import scipy
 from jaxtyping import Float64
-from msgspec import Meta
 
 from ...scene.scene import Actor, Scene
-from ...settings import Settings
 from ..geometry import wrap_angle
 from ..rollout import Rollout
 from ..rollout_io import read_any_rollout
 from ..vehicle import vehicle_box
-from .base import EGO, Behavior, LanePosition, RoadUser, TrafficState
+from ..vehicle_settings import EGO
+from .base import Behavior, LanePosition, RoadUser, TrafficState
+from .settings import Replay, ScriptedTrack, TrackPoint
 
 _STEP_S = 0.05  # half the interval for speed estimates; tracks are linear between samples, mostly 100 ms apart
 
@@ -60,23 +58,15 @@ class RecordedTrack:
         return None if pose is None else self._scene.scene_to_world @ pose
 
 
-class Replay(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="replay"):
-    """Replays a road user, or the ego vehicle, of a finished drive; linear between steps."""
-
-    rollout: Annotated[str, Meta(min_length=1, title="Roll-out", description="A roll-out file (JSON lines).")]
-    user: Annotated[
-        str, Meta(min_length=1, title="Road user", description='Its id in the roll-out; "ego" is its ego vehicle.')
-    ]
-
-    def begin(self, scene: Scene, start_s: float) -> Behavior:
-        """Create the behavior of one run; raises ValueError for a missing file or an unknown id."""
-        path = Path(self.rollout)
-        if not path.is_file():
-            raise ValueError(f"{path}: no such roll-out")
-        moments = _moments(read_any_rollout(path), self.user)
-        if not len(moments):
-            raise ValueError(f"{path}: nobody is called {self.user!r} in this roll-out")
-        return TimedBehavior(partial(_replayed, moments))
+def replaying(settings: Replay) -> Behavior:
+    """Create the behavior of one run; raises ValueError for a missing file or an unknown id."""
+    path = Path(settings.rollout)
+    if not path.is_file():
+        raise ValueError(f"{path}: no such roll-out")
+    moments = _moments(read_any_rollout(path), settings.user)
+    if not len(moments):
+        raise ValueError(f"{path}: nobody is called {settings.user!r} in this roll-out")
+    return TimedBehavior(partial(_replayed, moments))
 
 
 def _moments(rollout: Rollout, user: str) -> Float64[np.ndarray, "n 5"]:
@@ -134,47 +124,15 @@ def _moved(me: RoadUser, moment: Float64[np.ndarray, "5"]) -> RoadUser | None:
 # Scripted tracks
 
 
-class TrackPoint(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A time and a position relative to the initial place."""
-
-    time_s: Annotated[
-        float, Meta(gt=0, le=1e6, title="Time", description="Since the scenario began.", extra={"unit": "s"})
-    ]
-    ahead_m: Annotated[float, Meta(ge=-1e5, le=1e5, title="Ahead", description="Along the route.", extra={"unit": "m"})]
-    left_m: Annotated[
-        float, Meta(ge=-1e5, le=1e5, title="Left", description="Across it, seen in its direction.", extra={"unit": "m"})
-    ] = 0.0
-
-
-class ScriptedTrack(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="track"):
-    """Follows the recorded track of an actor, or points with smooth interpolation, then stands.
-
-    Between points positions are monotone cubics of time (PCHIP: Fritsch and Butland 1984), so nothing overshoots.
-    """
-
-    actor: Annotated[str | None, Meta(title="Actor", description="Id of the scene's actor whose track it is.")] = None
-    pace: Annotated[
-        float, Meta(gt=0, le=10, title="Pace", description="Of an actor: 0.5 takes twice the recorded time.")
-    ] = 1.0
-    points: tuple[TrackPoint, ...] = ()
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if (self.actor is None) != bool(self.points):
-            raise ValueError("a track is either that of an `actor` or through `points`")
-        times = [0.0, *(point.time_s for point in self.points)]
-        if any(later <= earlier for earlier, later in pairwise(times)):
-            raise ValueError("`points` must be in the order of their times, which are later than 0 s")
-
-    def begin(self, scene: Scene, start_s: float) -> Behavior:
-        """Create the behavior of one run; raises ValueError if the scene has no such actor."""
-        if self.actor is None:
-            return _WaypointBehavior(self.points)
-        for actor in scene.actors:
-            if actor.id == self.actor:
-                return TimedBehavior(partial(_on_track, RecordedTrack(scene, actor, start_s), self.pace))
-        known = ", ".join(each.id for each in scene.actors) or "none"
-        raise ValueError(f"track of actor {self.actor!r}: scene {scene.name!r} has only {known}")
+def on_track(settings: ScriptedTrack, scene: Scene, start_s: float) -> Behavior:
+    """Create the behavior of one run; raises ValueError if the scene has no such actor."""
+    if settings.actor is None:
+        return _WaypointBehavior(settings.points)
+    for actor in scene.actors:
+        if actor.id == settings.actor:
+            return TimedBehavior(partial(_on_track, RecordedTrack(scene, actor, start_s), settings.pace))
+    known = ", ".join(each.id for each in scene.actors) or "none"
+    raise ValueError(f"track of actor {settings.actor!r}: scene {scene.name!r} has only {known}")
 
 
 def _on_track(track: RecordedTrack, pace: float, me: RoadUser, time_s: float) -> RoadUser | None:

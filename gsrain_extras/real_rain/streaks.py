@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 
-from ..scene.geometry import srgb_to_linear
+from gsrain_engine.scene.geometry import srgb_to_linear
 
 LINE_PX = 15  # length of the lines of the streak detector
 FALL_BY_DIAMETER_S = 0.3e-3  # D/V of the drops that make visible streaks

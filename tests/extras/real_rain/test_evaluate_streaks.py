@@ -1,6 +1,5 @@
-"""`gsrain evaluate streaks` on sequences in RainSense's layout, and `gsrain evaluate lidar` on a small scene."""
+"""`gsrain evaluate streaks` on sequences in RainSense's layout."""
 
-import csv
 import json
 
 import numpy as np
@@ -8,9 +7,7 @@ import pytest
 from PIL import Image
 
 from app.main import run
-from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.scene.sensor import load_sensor
-from small_scene import small_scene
 
 WIDTH, HEIGHT, FRAMES = 256, 192, 8
 INTRINSICS = """K_cam:
@@ -90,8 +87,8 @@ def test_options_change_the_rendered_rain(real, reported):
 
 
 def test_report_and_unlabeled_pairs(real, reported, tmp_path, monkeypatch):
-    monkeypatch.setattr("gsrain_engine.evaluation.rain_pairs.PAIR_CROP", (100, 80))
-    monkeypatch.setattr("gsrain_engine.evaluation.rain_pairs.PAIRS", 6)
+    monkeypatch.setattr("gsrain_extras.real_rain.pairs.PAIR_CROP", (100, 80))
+    monkeypatch.setattr("gsrain_extras.real_rain.pairs.PAIRS", 6)
     conditions = tmp_path / "days.yaml"
     conditions.write_text("sequences: [{intensity_mm_h: 6.0, shutter_s: 0.012, wind_speed_m_s: 0, middle_frame: 4}]")
     page, pairs = tmp_path / "page.md", tmp_path / "pairs"
@@ -111,7 +108,7 @@ def test_report_and_unlabeled_pairs(real, reported, tmp_path, monkeypatch):
 
 
 def test_the_sensor_is_fitted_to_frames_without_rain(real, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("gsrain_engine.evaluation.camera_noise.FIT_TRIALS", 12)
+    monkeypatch.setattr("gsrain_extras.real_rain.camera_noise.FIT_TRIALS", 12)
     write_sequence(tmp_path / "clear", 0)
     file = tmp_path / "mine.yaml"
     assert run(["evaluate", "streaks", str(tmp_path / "clear"), "--frames", "7", "--fit-sensor", str(file)]) == 0
@@ -120,41 +117,3 @@ def test_the_sensor_is_fitted_to_frames_without_rain(real, tmp_path, capsys, mon
     assert 1 <= fitted.gain <= 256 and fitted != own
     assert run(["evaluate", "streaks", str(real), "--fit-sensor", str(file)]) == 2
     assert "takes a sequence without rain" in capsys.readouterr().err
-
-
-SENSOR = """
-name: four rings
-elevations_deg: [-20, -8, 0, 8]
-azimuth_step_deg: 1
-range_m: 40
-least_reflectance: 0.0001
-"""
-
-
-def test_a_scene_is_scanned_and_rained_on(tmp_path, reported, capsys):
-    scene, sensor, out = tmp_path / "scene", tmp_path / "sensor.yaml", tmp_path / "out"
-    write_scene(small_scene(), scene)
-    sensor.write_text(SENSOR)
-    options = ("-o", out, "--sensor", sensor, "--rain", "0,50", "--seeds", 2, "--sweeps", 1)
-    report = reported("evaluate", "lidar", scene, *options)
-    rows = report["rows"]
-    dry, heavy = ([row for row in rows if row["intensity_mm_h"] == rain] for rain in (0, 50))
-    assert len(dry) == len(heavy) == 2 and report["sensor"]["name"] == "four rings"
-    assert all(row["kept"] == row["clear"] > 100 and row["false"] == row["dropped"] == 0 for row in dry)
-    assert sum(row["dropped"] for row in heavy) > 0 and sum(row["false"] for row in heavy) > 0
-    assert all(row["clear"] == row["kept"] + row["dropped"] + row["masked"] for row in rows)
-    with (out / "lidar.csv").open() as file:
-        assert sum(int(line["false"]) for line in csv.DictReader(file)) == sum(row["false"] for row in rows)
-    for row in heavy:
-        sweep = np.load(out / "sweeps" / f"{row['turn']}_rain50_seed{row['seed']}.npz")
-        assert len(sweep["points_m"]) == row["kept"] + row["false"]
-        assert sweep["is_false"].sum() == row["false"]
-    assert (out / "lidar.png").read_bytes().startswith(b"\x89PNG")
-    page = (out / "report.html").read_text()
-    share = 100 * sum(row["kept"] for row in heavy) / sum(row["clear"] for row in heavy)
-    assert "four rings" in page and f">{share:.2f}%<" in page
-    assert "kept" in capsys.readouterr().out
-    assert json.loads((out / "lidar.json").read_text()) == report
-    assert report["seeds"] == [0, 1] and report["versions"]["gsrain"]
-    assert set(report["inputs"]) == {str(scene), str(sensor)}
-    assert all(each in page for each in (report["command"], *report["inputs"].values()))

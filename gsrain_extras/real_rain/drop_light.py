@@ -4,11 +4,11 @@ import cv2
 import numpy as np
 from jaxtyping import Float32, Float64
 
-from ..render.camera_response import light_of_display, tone_curve
-from ..scene.camera import Camera
-from ..scene.geometry import LUMINANCE
-from ..scene.water_surface import reflectance
-from ..water.refraction import WATER_INDEX
+from gsrain_engine.render.camera_response import light_of_display, tone_curve
+from gsrain_engine.scene.camera import Camera
+from gsrain_engine.scene.geometry import LUMINANCE
+from gsrain_engine.scene.water_surface import reflectance
+from gsrain_engine.water.refraction import WATER_INDEX
 
 _RINGS, _RAYS = 24, 32
 _GRID = (32, 16)  # directions across and down the picture: the light changes slowly over it

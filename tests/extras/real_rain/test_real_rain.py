@@ -9,12 +9,14 @@ import pytest
 
 from given_rain import STILL
 from gsrain_engine.datasets.rainsense import RainSequence
-from gsrain_engine.evaluation import rain_free
-from gsrain_engine.evaluation.camera_noise import CHROMA_LAGS, LUMA_LAGS, CameraNoise, fitted_sensor, noise_statistics
-from gsrain_engine.evaluation.drop_light import drop_rays, light_before
-from gsrain_engine.evaluation.photograph import cropped_camera, photographed, rain_over, render_rain_frames
-from gsrain_engine.evaluation.rain_free import below_black, rain_free_frames
-from gsrain_engine.evaluation.real_rain import (
+from gsrain_engine.rain.settings import RainSettings
+from gsrain_engine.rain.simulation import RainSimulation
+from gsrain_engine.render.camera_response import display_noise, light_of_display, tone_curve
+from gsrain_engine.scene.camera import Camera, look_at
+from gsrain_engine.scene.sensor import Sensor
+from gsrain_extras.real_rain import rain_free
+from gsrain_extras.real_rain.camera_noise import CHROMA_LAGS, LUMA_LAGS, CameraNoise, fitted_sensor, noise_statistics
+from gsrain_extras.real_rain.comparison import (
     DROP_SHARE,
     MeasuredFrames,
     RealRainComparison,
@@ -24,13 +26,11 @@ from gsrain_engine.evaluation.real_rain import (
     simulated_frames,
     slow_light,
 )
-from gsrain_engine.evaluation.real_rain_report import MEASURES, estimate, markdown
-from gsrain_engine.evaluation.streaks import find_streaks, median_residuals
-from gsrain_engine.rain.settings import RainSettings
-from gsrain_engine.rain.simulation import RainSimulation
-from gsrain_engine.render.camera_response import display_noise, light_of_display, tone_curve
-from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.scene.sensor import Sensor
+from gsrain_extras.real_rain.drop_light import drop_rays, light_before
+from gsrain_extras.real_rain.photograph import cropped_camera, photographed, rain_over, render_rain_frames
+from gsrain_extras.real_rain.rain_free import below_black, rain_free_frames
+from gsrain_extras.real_rain.report import MEASURES, estimate, markdown
+from gsrain_extras.real_rain.streaks import find_streaks, median_residuals
 
 SKY = 220.0
 
@@ -173,7 +173,7 @@ def test_a_photograph_without_signal_is_its_background():
 
 
 def test_the_sensor_of_a_cameras_noise_is_found(monkeypatch):
-    monkeypatch.setattr("gsrain_engine.evaluation.camera_noise.MIN_PIXELS", 400)
+    monkeypatch.setattr("gsrain_extras.real_rain.camera_noise.MIN_PIXELS", 400)
     noise = CameraNoise.of([each.color for each in plain_and_detailed()])
     assert len(noise.classes) >= 2
     assert noise.difference(CAMERA, 1280) < 0.05

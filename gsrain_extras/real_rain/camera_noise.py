@@ -10,8 +10,9 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, UInt8
 from scipy.optimize import minimize
 
-from ..render.camera_response import display_noise
-from ..scene.sensor import Sensor
+from gsrain_engine.render.camera_response import display_noise
+from gsrain_engine.scene.sensor import Sensor
+
 from .photograph import photographed
 from .streaks import LIMIT_OF_NOISE_LEVELS, median_residuals
 

@@ -1,4 +1,4 @@
-"""`gsrain evaluate streaks`: comparison of rendered rain streaks with real ones."""
+"""`gsrain evaluate streaks`: streaks of real rain, and of ours over the same background."""
 
 import logging
 import math
@@ -8,30 +8,33 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+from app.console import print_lines, progress_bar
+from app.options import JsonFileOrScreen, StructOptions, check_within, option, options_of, setting, takes_set
+from app.outputs import check_ending, check_writable, table_stream, write_numbers
 from gsrain_engine.rain.settings import RainSettings
-
-from ..console import print_lines, progress_bar
-from ..options import JsonFileOrScreen, check_within, option, options_of, setting, takes_set
-from ..outputs import check_ending, check_writable, table_stream, write_numbers
 
 if TYPE_CHECKING:
     from gsrain_engine.datasets.rainsense import RainSequence
-    from gsrain_engine.evaluation.photograph import Window
-    from gsrain_engine.evaluation.rain_pairs import RainyPlace
-    from gsrain_engine.evaluation.real_rain import FrameStatistics, RealRainComparison
     from gsrain_engine.report.table import Cell, Table
     from gsrain_engine.scene.sensor import Sensor
 
+    from .comparison import FrameStatistics, RealRainComparison
+    from .pairs import RainyPlace
+    from .photograph import Window
+
 
 _AIR = ("wind_speed_m_s", "wind_from_deg", "gust_m_s", "turbulence_m_s")
-RenderedOptions = options_of(
-    RainSettings,
-    "evaluate streaks",
-    defaults={"intensity_mm_h": "that of each sequence", "sensor": "rainsense"}
-    | dict.fromkeys((*_AIR, "calibration"), "that of --conditions"),
-    topic="Rain",
-    fixed={"exposure_s": "--exposure"},
-)
+if TYPE_CHECKING:
+    RenderedOptions = StructOptions
+else:
+    RenderedOptions = options_of(
+        RainSettings,
+        defaults={"intensity_mm_h": "that of each sequence", "sensor": "rainsense"}
+        | dict.fromkeys((*_AIR, "calibration"), "that of --conditions"),
+        topic="Rain",
+        names=("intensity_mm_h", "seed", *_AIR, "calibration", "model", "streak_gain", "sensor", "aperture_mm"),
+        fixed={"exposure_s": "--exposure"},
+    )
 _MIN_FRAMES, _MAX_FRAMES = 5, 200
 _log = logging.getLogger(__name__)
 
@@ -46,7 +49,7 @@ def streaks(
         str | None, setting(RainSettings, "exposure_s", "Several with commas. Default: that of --conditions.", "Rain")
     ] = None,
     conditions: Annotated[
-        str, option("Shutter and air of each sequence: rainsense, or a file of sample_configs/real_rain's kind.")
+        str, option("Shutter and air of each sequence: rainsense, or a file as of gsrain schema real_rain.")
     ] = "rainsense",
     frames: Annotated[int, option("Number of frames of each sequence to measure, and to render.")] = 20,
     window: Annotated[str | None, option("LEFT,TOP,WIDTH,HEIGHT in pixels; default: above the horizon.")] = None,
@@ -63,20 +66,21 @@ def streaks(
     ] = None,
     json: JsonFileOrScreen = None,
 ) -> None:
-    """Measure rain streaks in the frames of a static camera, and in our rain over the same background."""
-    from gsrain_engine.evaluation.rain_pairs import RainyPlace
-    from gsrain_engine.evaluation.real_rain import (
+    """Compare rendered rain streaks with real ones."""
+    from gsrain_engine.report.numbers import finite_numbers, write_text
+    from gsrain_engine.scene.camera import DEFAULT_EXPOSURE_S
+    from gsrain_engine.scene.sensor import DEFAULT_SENSOR, load_sensor
+
+    from .comparison import (
         RealRainComparison,
         above_horizon,
         compare_with_real_rain,
         evenly_chosen,
         load_conditions,
     )
-    from gsrain_engine.evaluation.real_rain_report import markdown
-    from gsrain_engine.evaluation.streaks import ANGLE_EDGES_DEG, LENGTH_EDGES_PX
-    from gsrain_engine.report.numbers import finite_numbers, write_text
-    from gsrain_engine.scene.camera import DEFAULT_EXPOSURE_S
-    from gsrain_engine.scene.sensor import DEFAULT_SENSOR, load_sensor
+    from .pairs import RainyPlace
+    from .report import markdown
+    from .streaks import ANGLE_EDGES_DEG, LENGTH_EDGES_PX
 
     check_within("--frames", frames, _MIN_FRAMES, _MAX_FRAMES)
     check_ending("--report", report, (".md",))
@@ -124,8 +128,9 @@ def _plain(row: "RealRainComparison") -> dict[str, Any]:
 
 def _write_pairs(places: "list[RainyPlace]", folder: Path, key: Path) -> None:
     """Write pairs as PNG, and which side is real to another file."""
-    from gsrain_engine.evaluation.rain_pairs import PAIRS, unlabeled_pairs
     from gsrain_engine.render.images import write_png
+
+    from .pairs import PAIRS, unlabeled_pairs
 
     folder.mkdir(parents=True, exist_ok=True)
     found: list[dict[str, Any]] = []
@@ -140,9 +145,10 @@ def _fit(sequences: "list[RainSequence]", sensor: "Sensor", frames: int, part: "
     """Write a sensor whose noise is that of the first sequence, if it is one without rain."""
     import msgspec
 
-    from gsrain_engine.evaluation.camera_noise import FIT_TRIALS, CameraNoise, fitted_sensor
-    from gsrain_engine.evaluation.real_rain import above_horizon, evenly_chosen
     from gsrain_engine.report.numbers import write_text
+
+    from .camera_noise import FIT_TRIALS, CameraNoise, fitted_sensor
+    from .comparison import above_horizon, evenly_chosen
 
     sequence = sequences[0]
     if sequence.intensity_mm_h > 0:

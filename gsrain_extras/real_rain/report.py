@@ -6,9 +6,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from ..report.interval import Interval, quantiles, resampled
-from ..report.table import Cell, Column, Table, columns
-from .real_rain import MeasuredFrames, RealRainComparison
+from gsrain_engine.report.interval import Interval, quantiles, resampled
+from gsrain_engine.report.table import Cell, Column, Table, columns
+
+from .comparison import MeasuredFrames, RealRainComparison
 from .streaks import DARK_BAND, streaks_within
 
 BLACK_BAND, BRIGHT_BAND = (0.0, 16.0), (64.0, 140.0)

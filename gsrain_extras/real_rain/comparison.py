@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Annotated
 
 import cv2
@@ -10,14 +11,15 @@ import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 from msgspec import Meta
 
-from ..datasets.rainsense import RainSequence
-from ..presets import load_config
-from ..rain.settings import HEAVIEST_MM_H, RainSettings
-from ..rain.simulation import RainSimulation
-from ..render.camera_response import display_noise, light_of_display, tone_curve
-from ..scene.camera import Camera
-from ..scene.sensor import load_sensor
-from ..settings import Settings
+from gsrain_engine.datasets.rainsense import RainSequence
+from gsrain_engine.presets import load_config
+from gsrain_engine.rain.settings import HEAVIEST_MM_H, RainSettings
+from gsrain_engine.rain.simulation import RainSimulation
+from gsrain_engine.render.camera_response import display_noise, light_of_display, tone_curve
+from gsrain_engine.scene.camera import Camera
+from gsrain_engine.scene.sensor import load_sensor
+from gsrain_engine.settings import Settings
+
 from .drop_light import light_before
 from .photograph import StoredPhoto, Window, cropped_camera, noise_of, photographed, rain_over, rain_shares
 from .rain_free import below_black
@@ -93,7 +95,7 @@ class RealRainConditions(Settings, frozen=True, kw_only=True, forbid_unknown_fie
 
 def load_conditions(name: str) -> RealRainConditions:
     """Load shipped conditions by name, or a file by path. Raises `ValueError` with file and field."""
-    return load_config("real_rain", name, RealRainConditions, "conditions")
+    return load_config(Path(__file__).resolve().parent / "conditions", name, RealRainConditions, "conditions")
 
 
 # Light and noise of real frames

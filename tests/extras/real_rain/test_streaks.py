@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from gsrain_engine.evaluation.streaks import (
+from gsrain_engine.scene.geometry import linear_to_srgb, srgb_to_linear
+from gsrain_extras.real_rain.streaks import (
     BANDS,
     FALL_BY_DIAMETER_S,
     StreakTable,
@@ -13,7 +14,6 @@ from gsrain_engine.evaluation.streaks import (
     residual_statistics,
     streak_statistics,
 )
-from gsrain_engine.scene.geometry import linear_to_srgb, srgb_to_linear
 
 SHAPE = (160, 200)
 SKY = 220.0

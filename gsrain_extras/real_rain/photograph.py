@@ -8,16 +8,16 @@ import cv2
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
-from ..rain.frame import SkyLight
-from ..rain.settings import RainSettings
-from ..rain.simulation import RainSimulation
-from ..render.camera_response import jpeg_of, light_of_display, stored_jpeg, to_levels, tone_curve
-from ..render.cpu.renderer import CpuRenderer
-from ..render.signal_processing import processed, with_chroma_noise
-from ..render.view import RenderView, rain_camera
-from ..scene.camera import Camera
-from ..scene.scene import Scene
-from ..scene.sensor import Sensor
+from gsrain_engine.rain.frame import SkyLight
+from gsrain_engine.rain.settings import RainSettings
+from gsrain_engine.rain.simulation import RainSimulation
+from gsrain_engine.render.camera_response import jpeg_of, light_of_display, stored_jpeg, to_levels, tone_curve
+from gsrain_engine.render.cpu.renderer import CpuRenderer
+from gsrain_engine.render.signal_processing import processed, with_chroma_noise
+from gsrain_engine.render.view import RenderView, rain_camera
+from gsrain_engine.scene.camera import Camera
+from gsrain_engine.scene.scene import Scene
+from gsrain_engine.scene.sensor import Sensor
 
 Window = tuple[int, int, int, int]  # left, top, width, height of a part of an image, in pixels
 _NO_SCENE = Scene("no scene", (), up=(0.0, 0.0, 1.0))

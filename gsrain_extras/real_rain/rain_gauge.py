@@ -21,7 +21,8 @@ from jaxtyping import Bool, Float32, Float64, UInt8
 from scipy.optimize import least_squares
 from scipy.special import ndtr
 
-from ..scene.geometry import LUMINANCE, srgb_to_linear
+from gsrain_engine.scene.geometry import LUMINANCE, srgb_to_linear
+
 from .streaks import LINE_PX, MAD_TO_SIGMA, box_with_moments, line_kernels
 
 FallSpeed = Callable[[Float64[np.ndarray, " n"]], Float64[np.ndarray, " n"]]  # m/s of drops with diameters in mm

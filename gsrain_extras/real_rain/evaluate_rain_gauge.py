@@ -1,4 +1,8 @@
-"""`gsrain evaluate rain-gauge`: the rain rate in frames of a static camera."""
+"""`gsrain evaluate rain-gauge`: the rain rate in frames of a static camera, as a camera rain gauge reads it.
+
+It uses number, widths and lengths of streaks alone, neither the scene nor the rain that was set. Frames need dark and
+bright backgrounds above the horizon, such as trees and sky, by which the light of drops is found.
+"""
 
 from collections.abc import Iterator
 from dataclasses import asdict
@@ -6,16 +10,14 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from jaxtyping import UInt8
-
+from app.console import print
+from app.options import JsonFile, check_within, option, setting
+from app.outputs import check_writable, write_numbers
 from gsrain_engine.rain.settings import RainSettings
-
-from ..console import print
-from ..options import JsonFile, check_within, option, setting
-from ..outputs import check_writable, write_numbers
 
 if TYPE_CHECKING:
     import numpy as np
+    from jaxtyping import UInt8
 
 
 _MAX_FRAMES, _MAX_BYTES = 500, 3 << 29
@@ -37,14 +39,11 @@ def rain_gauge(
     ] = None,
     json: JsonFile = None,
 ) -> None:
-    """Read the rain rate from streaks alone, as a camera rain gauge does: their number, widths and lengths.
-
-    Nothing else is known to it: neither the scene nor the rain that was set. Frames need dark and bright backgrounds
-    above the horizon, such as trees and sky, which tell the light of drops.
-    """
-    from gsrain_engine.evaluation.rain_gauge import MIN_FRAMES, measure_rain_rate
+    """Rain rate in frames of a static camera, by their streaks."""
     from gsrain_engine.rain.calibration import load_calibration
     from gsrain_engine.rain.properties import rain_class
+
+    from .rain_gauge import MIN_FRAMES, measure_rain_rate
 
     check_within("--focal-px", focal_px, 10, 1e5, "px")
     check_within("--shutter", shutter, 1e-4, 0.1, "s")
@@ -78,7 +77,7 @@ def _pictures(source: Path) -> "Iterator[UInt8[np.ndarray, 'h w 3']]":
 def _stacked(source: Path, pictures: "Iterator[UInt8[np.ndarray, 'h w 3']]") -> "UInt8[np.ndarray, 't h w 3']":
     import numpy as np
 
-    from gsrain_engine.evaluation.rain_gauge import MIN_FRAMES
+    from .rain_gauge import MIN_FRAMES
 
     found: list[UInt8[np.ndarray, "h w 3"]] = []
     for picture in pictures:

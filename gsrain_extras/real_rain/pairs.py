@@ -7,12 +7,13 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, UInt8
 
-from ..datasets.rainsense import RainSequence
-from ..rain.settings import RainSettings
-from ..scene.sensor import load_sensor
+from gsrain_engine.datasets.rainsense import RainSequence
+from gsrain_engine.rain.settings import RainSettings
+from gsrain_engine.scene.sensor import load_sensor
+
+from .comparison import drop_levels, plain_noise, rain_before, slow_light
 from .photograph import Window, cropped_camera, photographed, rain_over, rain_shares
 from .rain_free import below_black, rain_free_frames
-from .real_rain import drop_levels, plain_noise, rain_before, slow_light
 from .streaks import MedianResiduals, median_residuals
 
 PAIRS = 40

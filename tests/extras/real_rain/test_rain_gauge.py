@@ -4,14 +4,14 @@ import cv2
 import numpy as np
 import pytest
 
-from gsrain_engine.evaluation import rain_gauge
-from gsrain_engine.evaluation.photograph import render_rain_frames
-from gsrain_engine.evaluation.rain_gauge import GaugedStreaks, light_residuals, measure_rain_rate
 from gsrain_engine.rain.calibration import load_calibration
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.geometry import linear_to_srgb, srgb_to_linear
+from gsrain_extras.real_rain import rain_gauge
+from gsrain_extras.real_rain.photograph import render_rain_frames
+from gsrain_extras.real_rain.rain_gauge import GaugedStreaks, light_residuals, measure_rain_rate
 
 WIDTH, HEIGHT, FOCAL_PX = 960, 600, 960.0
 SHUTTER_S, SKY = 0.002, 215.0

@@ -1,0 +1,1 @@
+"""Real rain beside ours, and a camera rain gauge, as commands of `gsrain evaluate`."""
