@@ -4,7 +4,7 @@ import logging
 import os
 import select
 import sys
-from collections.abc import Generator, Iterable
+from collections.abc import Generator, Iterable, Sequence
 from contextlib import contextmanager, nullcontext, redirect_stdout
 from contextvars import copy_context
 from difflib import get_close_matches
