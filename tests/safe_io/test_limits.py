@@ -318,7 +318,7 @@ ALLOWED = {
     "gsrain_engine/scene/formats/stored_zip.py": "an archive that it writes, of files of its own",
     "gsrain_engine/scene/formats/usdz.py": "results of a process of its own",
     "gsrain_engine/editor/jobs/record.py": "a frame that a job of its own has drawn",
-    "app/bench.py": "reads a folder that it has written, to time that",
+    "app/bench_timing.py": "reads a folder that it has written, to time that",
     "gsrain_engine/render/renderer.py": "a list of processors that Linux makes",
     "gsrain_engine/appearance/cyclegan_turbo/weights.py": "puts a file that it has just written in order",
     "gsrain_engine/sweep/executors.py": "the worker's end: jobs of the program that has started it",
