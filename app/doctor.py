@@ -448,15 +448,14 @@ def describe(extension: Extension) -> str:
     Raises `MissingPackageError` if it lacks a package, ValueError if it is unusable.
     """
     origin = f"{extension.place} of {extension.package} {extension.version}".rstrip()
+    loaded: object = None
     if extension.group in _KINDS:
         module, _, kind = _KINDS[extension.group].partition(":")
         loaded = extension.load(getattr(import_module(module), kind))
-        for package in getattr(loaded, "packages", ()):
-            require_package(package, origin)
     elif extension.group is plugins.SCENE_FORMATS:
         from gsrain_engine.scene.formats.registry import format_of
 
-        format_of(Path(f"scene.{extension.name}"))
+        loaded = format_of(Path(f"scene.{extension.name}"))
     elif extension.group is plugins.TRANSFERS:
         from gsrain_engine.appearance.registry import find_method
 
@@ -467,6 +466,8 @@ def describe(extension: Extension) -> str:
         decoder(extension.name)
     else:  # agents and evaluations
         extension.load_callable()
+    for package in getattr(loaded, "packages", ()):
+        require_package(package, origin)
     return origin
 
 

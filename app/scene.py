@@ -27,7 +27,13 @@ from gsrain_engine.safe_io.file_kinds import find_file_kind
 from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.camera_path_edit import WALKING_M_S, with_constant_speed
 from gsrain_engine.scene.camera_path_io import read_camera_path
-from gsrain_engine.scene.formats.registry import FORMATS, lost_in_file, unknown_format
+from gsrain_engine.scene.formats.registry import (
+    FORMATS,
+    installed_suffixes,
+    lost_in_file,
+    scene_suffixes,
+    unknown_format,
+)
 from gsrain_engine.scene.formats.scene_files import (
     INNER_SCENE,
     names_scene_folder,
@@ -307,8 +313,8 @@ def _places(summary: CaptureSummary) -> str:
 # gsrain convert
 
 
-_READ = " ".join(each.suffix for each in FORMATS)
-_WRITTEN = " ".join(each.suffix for each in FORMATS if each.write is not None)
+_READ = " ".join(scene_suffixes())
+_WRITTEN = " ".join([*(each.suffix for each in FORMATS if each.write is not None), *installed_suffixes()])
 
 
 def convert(

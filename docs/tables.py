@@ -6,7 +6,8 @@ from pathlib import Path
 
 from app.main import benchmarks, evaluations, view
 from docs import api_page
-from gsrain_engine.scene.formats.registry import FORMATS
+from gsrain_engine.plugins import SCENE_FORMATS, find_extensions
+from gsrain_engine.scene.formats import FORMATS, Format
 from ui.commands.table import BENCHMARKS, EVALUATIONS, SHELL_COMMANDS
 from ui.panels.registry import BUILT_IN_PANELS, DockSide, Panel
 
@@ -22,8 +23,9 @@ _SIDES: dict[DockSide, str] = {
 
 
 def formats() -> str:
-    """Return the table of scene formats."""
-    rows = [f"| `{each.suffix}` | {'yes' if each.write else 'no'} | {each.description} |" for each in FORMATS]
+    """Return the table of scene formats, with those that this program adds as extensions."""
+    known = *FORMATS, *(each.load(Format) for each in find_extensions(SCENE_FORMATS) if each.is_own)
+    rows = [f"| `{each.suffix}` | {'yes' if each.write else 'no'} | {each.description} |" for each in known]
     return "\n".join(["", "| file | written | contents |", "|---|---|---|", *rows, "", ""])
 
 

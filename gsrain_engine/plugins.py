@@ -54,6 +54,11 @@ class Extension:
     """An EntryPoint of importlib.metadata, or of its backport if a library has replaced it."""
 
     @property
+    def is_own(self) -> bool:
+        """True for those of this program itself: the folders of `gsrain_extras`."""
+        return self.package == "gsrain"
+
+    @property
     def title(self) -> str:
         """Name in messages: panel cloudburst (my_package:PANEL of my-package)."""
         return f"{self.group.noun} {self.name} ({self.place} of {self.package or 'an installed package'})"

@@ -315,7 +315,7 @@ ALLOWED = {
     "gsrain_extras/alpasim/messages.py": "a file of the package",
     "gsrain_engine/publish/page_scene.py": "a file that it has just written, and its bytes in memory",
     "gsrain_engine/scene/formats/stored_zip.py": "an archive that it writes, of files of its own",
-    "gsrain_engine/scene/formats/usdz.py": "results of a process of its own",
+    "gsrain_extras/usd/usdz.py": "results of a process of its own",
     "gsrain_engine/editor/jobs/record.py": "a frame that a job of its own has drawn",
     "app/bench.py": "reads a folder that it has written, to time that",
     "gsrain_engine/render/renderer.py": "a list of processors that Linux makes",
