@@ -464,7 +464,7 @@ def describe(extension: Extension) -> str:
         from gsrain_engine.evaluation.detection.decoders import decoder
 
         decoder(extension.name)
-    else:  # agents and evaluations
+    else:  # agents, evaluations and scenario formats
         extension.load_callable()
     for package in getattr(loaded, "packages", ()):
         require_package(package, origin)
@@ -475,6 +475,7 @@ _KINDS = {
     plugins.PANELS: "ui.panels.registry:Panel",
     plugins.DISDROMETERS: "gsrain_engine.disdrometer.open:LogFormat",
     plugins.CAPTURE_FORMATS: "gsrain_engine.datasets.open_capture:CaptureFormat",
+    plugins.DRIVE_EXPORTS: "gsrain_engine.simulation.drive_exports:DriveExport",
     plugins.PROTOCOLS: "gsrain_engine.simulation.serving.protocols:ServerProtocol",
 }
 """Types of extensions that are values."""

@@ -26,12 +26,17 @@ AGENTS = EntryPointGroup("gsrain.agents", "agent")
 CAPTURE_FORMATS = EntryPointGroup("gsrain.capture_formats", "capture format")
 DECODERS = EntryPointGroup("gsrain.decoders", "decoder")
 DISDROMETERS = EntryPointGroup("gsrain.disdrometers", "disdrometer format")
+DRIVE_EXPORTS = EntryPointGroup("gsrain.drive_exports", "drive export")
 EVALUATIONS = EntryPointGroup("gsrain.evaluations", "evaluation")
 PANELS = EntryPointGroup("gsrain.panels", "panel")
 PROTOCOLS = EntryPointGroup("gsrain.protocols", "protocol")
+SCENARIO_FORMATS = EntryPointGroup("gsrain.scenario_formats", "scenario format")
 SCENE_FORMATS = EntryPointGroup("gsrain.scene_formats", "scene format")
 TRANSFERS = EntryPointGroup("gsrain.transfers", "transfer")
-GROUPS = (AGENTS, CAPTURE_FORMATS, DECODERS, DISDROMETERS, EVALUATIONS, PANELS, PROTOCOLS, SCENE_FORMATS, TRANSFERS)
+GROUPS = (
+    AGENTS, CAPTURE_FORMATS, DECODERS, DISDROMETERS, DRIVE_EXPORTS, EVALUATIONS, PANELS, PROTOCOLS, SCENARIO_FORMATS,
+    SCENE_FORMATS, TRANSFERS,
+)  # fmt: skip
 """All groups; docs/extending.md has an example of each."""
 
 

@@ -23,6 +23,9 @@ from gsrain_engine.plugins import ExtensionError
 from gsrain_engine.safe_io.errors import SceneFormatError
 from gsrain_engine.scene.formats.registry import lost_in_file, writable_suffixes
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
+from gsrain_engine.simulation.drive_exports import FinishedDrive, find_drive_export
+from gsrain_engine.simulation.scenario_io import load_scenario
+from small_rollout import approach
 from small_scene import small_scene
 
 MODULE = """
@@ -34,6 +37,7 @@ from gsrain_engine.evaluation.detection.decoders import BoxCandidates, Decoder
 from gsrain_engine.scene.formats._common import Format
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.scene import Layer, Scene
+from gsrain_engine.simulation.drive_exports import DriveExport
 
 def fails(*anything):
     raise RuntimeError("the magic smoke has left")
@@ -73,6 +77,8 @@ OPENS_NOT = TransferMethod("opens-not", "Fails", "", fails)
 LISTS = Decoder(lambda outputs, layout: [])
 BOX, SURE = np.zeros((1, 4), np.float32), np.ones(1, np.float32)
 CLASS_9 = Decoder(lambda outputs, layout: BoxCandidates(BOX, SURE, np.array([9])))
+HALF = DriveExport((".half",), fails)
+ENDLESS = DriveExport((), fails)
 DOUBTS = LogFormat(lambda lines: lines[0] == "doubt", fails)
 NOTHING = LogFormat(lambda lines: lines[0] == "nothing", lambda path, lines: 3)
 FOLDERS = CaptureFormat("anything", fails, fails)
@@ -91,6 +97,8 @@ ENTRIES = {
     "gsrain.decoders": {
         "lists": "bad_lab:LISTS", "class-9": "bad_lab:CLASS_9", "text": "bad_lab:__doc__",
     },
+    "gsrain.drive_exports": {"half": "bad_lab:HALF", "endless": "bad_lab:ENDLESS", "parquet": "bad_lab:HALF"},
+    "gsrain.scenario_formats": {"fumes": "bad_lab:fails", "flat": "bad_lab:gaussians", "yaml": "bad_lab:fails"},
     "gsrain.disdrometers": {"doubts": "bad_lab:DOUBTS", "nothing": "bad_lab:NOTHING", "broken": "bad_lab:fails"},
     "gsrain.evaluations": {
         "lidar": "bad_lab:fails", "smoke": "bad_lab:fails", "number": "bad_lab:MISNAMED", "gone": "gone:x",
@@ -122,6 +130,11 @@ def log(text):
     return lambda folder: read_disdrometer(written(folder / "log.txt", f"{text}\nmore\n"))
 
 
+def exported(name, folder):
+    export = find_drive_export(name, f"--export {name}")
+    export.write(FinishedDrive(export, approach(), small_scene()), folder / "a")
+
+
 def scene(suffix):
     return lambda folder: read_scene(written(folder / f"scene.{suffix}"))
 
@@ -129,7 +142,7 @@ def scene(suffix):
 @pytest.mark.parametrize(
     ("use", "kind", "names"),
     [
-        (scene("smoke"), SceneFormatError, r"smoke \(bad_lab:SMOKE of bad-lab\): line 12 of bad_lab.py: the magic"),
+        (scene("smoke"), SceneFormatError, r"smoke \(bad_lab:SMOKE of bad-lab\): line 13 of bad_lab.py: the magic"),
         (scene("number"), SceneFormatError, "number .*Gaussians"),
         (scene("misnamed"), SceneFormatError, "'.other', .* '.misnamed'"),
         (scene("function"), SceneFormatError, "function .*Format"),
@@ -141,6 +154,16 @@ def scene(suffix):
         (lambda folder: write_scene(small_scene(), folder / "a.fumes"), SceneFormatError, "fumes .*magic smoke"),
         (lambda folder: lost_in_file(small_scene(), folder / "a.fumes"), SceneFormatError, "fumes .*magic smoke"),
         (lambda folder: write_scene(small_scene(), folder / "scene.smoke"), SceneFormatError, "magic smoke"),
+        (lambda folder: exported("half", folder), ExtensionError, "half .*magic smoke"),
+        (lambda folder: exported("endless", folder), ExtensionError, "endless .*suffixes"),
+        (lambda folder: load_scenario(written(folder / "a.fumes")), ValueError, r"a\.fumes: .*fumes .*magic smoke"),
+        (lambda folder: load_scenario(written(folder / "a.flat")), ValueError, r"a\.flat: .*flat .*Scenario"),
+        (lambda folder: load_scenario(written(folder / "a.yaml", "a: 1")), ValueError, r"a\.yaml: .*unknown field"),
+        (
+            lambda folder: load_scenario(written(folder / "a.lost", "<")),
+            ValueError,
+            r"package reads \.lost",
+        ),
         (lambda _: open_transfer("opens-not", SETTINGS, ImageEnvironment()), ExtensionError, "opens-not .*magic smoke"),
         (lambda _: open_transfer("opens-number", SETTINGS, ImageEnvironment()), ExtensionError, "opens-number .*name"),
         (lambda _: decoded("lists"), ValueError, "lists .*BoxCandidates"),

@@ -39,8 +39,7 @@ def test_each_optional_package_is_one_of_its_extra():
         ("grpc", ["serve", "{scene}"], "grpcio", "alpasim"),
         ("carla_canvas", ["serve", "{scene}", "--protocol", "carla-canvas"], "carla-canvas", "carla"),
         ("viser", ["serve", "{scene}", "--protocol", "browser"], "viser", "viser"),
-        ("rerun", ["drive", "--rerun", "{out}/a.rrd", "-o", "{out}/drive"], "rerun-sdk", "rerun"),
-        ("rosbags", ["drive", "--export", "ros2", "-o", "{out}/drive"], "rosbags", "recordings"),
+        ("pyarrow", ["drive", "--export", "parquet", "-o", "{out}/drive"], "pyarrow", "drive"),
     ],
 )
 def test_a_command_names_the_package_and_the_line_that_installs_it(
