@@ -60,7 +60,8 @@ class FinishedDrive:
         """Prepare a drive for an export; without a renderer there are no images. `lod` is that of a recording."""
         self.rollout = rollout
         self.scene = scene
-        self._export, self._renderer, self._lod = export, renderer, lod
+        self._export, self._renderer = export, renderer
+        self._lod: Lod | None = lod
 
     @property
     def record_count(self) -> int:

@@ -78,7 +78,7 @@ def _read_by(extension: Extension, path: Path) -> Scenario:
         return extension.expect(extension.load_callable()(path), Scenario, "reads")
     except ValueError as error:
         reason = printable_line(error)
-        raise ValueError(reason if reason.startswith(str(path)) else f"{path}: {reason}") from error
+        raise ValueError(reason if reason.startswith(str(path)) else f"{path}: {reason}") from error.__cause__
     except (OSError, MemoryError):
         raise
     except Exception as error:  # third-party code may raise anything
