@@ -406,4 +406,5 @@ def test_nothing_else_opens_files():
             if HINTS.search(source) and (lines := list(opened_unbounded(source))):
                 found[path.relative_to(ROOT).as_posix()] = lines
     assert {name: lines for name, lines in found.items() if name not in ALLOWED} == {}
-    assert [name for name in ALLOWED if name not in found] == []
+    there = [name for name in ALLOWED if (ROOT / name).is_file() or not name.startswith("gsrain_extras/")]
+    assert [name for name in there if name not in found] == []
