@@ -312,7 +312,7 @@ def _lost(extension: Extension, lost: Callable[[list[str]], list[str]], phrases:
 
 
 def _checked_gaussians(path: Path, found: Gaussians) -> Gaussians:
-    arrays = (np.array(each, np.float32, order="C") for each in found.arrays)
+    arrays = (np.require(each, np.float32, ["C", "W"]) for each in found.arrays)  # large scenes have no room for copies
     return replace(checked_gaussians(path, *arrays), antialiased=found.antialiased)
 
 
