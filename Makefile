@@ -59,11 +59,9 @@ coverage: setup $(VENV)/.installed-jobs
 GPU_PYTHON ?= $(or $(wildcard $(RUN)/python),$(PYTHON))
 GPU_PAGE ?= docs/gpu.md
 GPU_METADATA = $(abspath $(OUT))/gpu/metadata
-VERSION = $(shell sed -n 's/^version = "\(.*\)"$$/\1/p' pyproject.toml)
 
 gpu:
-	mkdir -p $(GPU_METADATA)/gsrain-$(VERSION).dist-info
-	printf 'Metadata-Version: 2.1\nName: gsrain\nVersion: $(VERSION)\n' > $(GPU_METADATA)/gsrain-$(VERSION).dist-info/METADATA
+	$(GPU_PYTHON) packaging/metadata.py $(GPU_METADATA)
 	PYTHONPATH=$(GPU_METADATA):$$PYTHONPATH $(GPU_PYTHON) -m benchmarks.gpu --output $(OUT)/gpu --page $(GPU_PAGE) $(GPU_OPTIONS)
 
 lint: setup $(VENV)/.installed-jobs

@@ -464,7 +464,7 @@ def describe(extension: Extension) -> str:
         from gsrain_engine.evaluation.detection.decoders import decoder
 
         decoder(extension.name)
-    else:  # agents, evaluations and scenario formats
+    else:  # agents, commands, evaluations and scenario formats
         extension.load_callable()
     for package in getattr(loaded, "packages", ()):
         require_package(package, origin)
@@ -476,6 +476,8 @@ _KINDS = {
     plugins.DISDROMETERS: "gsrain_engine.disdrometer.open:LogFormat",
     plugins.CAPTURE_FORMATS: "gsrain_engine.datasets.open_capture:CaptureFormat",
     plugins.DRIVE_EXPORTS: "gsrain_engine.simulation.drive_exports:DriveExport",
+    plugins.MODELS: "gsrain_engine.scene.models:ModelLibrary",
+    plugins.SCENES: "gsrain_engine.scene.built_in:BuiltInScene",
     plugins.PROTOCOLS: "gsrain_engine.simulation.serving.protocols:ServerProtocol",
 }
 """Types of extensions that are values."""

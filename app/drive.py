@@ -27,7 +27,8 @@ from gsrain_engine.render.video import can_write_videos
 from gsrain_engine.report.numbers import provenance_lines, run_provenance, write_provenance, write_text
 from gsrain_engine.report.page import write_report
 from gsrain_engine.safe_io.file_names import file_word, shortened
-from gsrain_engine.scene.open import STREET, load_sorted_scene, scene_hash, with_lod_trees
+from gsrain_engine.scene.built_in import DEFAULT_SCENE
+from gsrain_engine.scene.open import load_sorted_scene, scene_hash, with_lod_trees
 from gsrain_engine.scene.scene import Scene
 from gsrain_engine.simulation import simulation as driving
 from gsrain_engine.simulation.agents.base import Agent
@@ -312,7 +313,7 @@ def drive(
 
 def _check_scene(scene: str, scenario: str | None) -> None:
     """Raise ValueError with the folders searched if the scene of a scenario file is not there."""
-    if scenario is None or scene == STREET or Path(scene).exists() or not Path(scenario).is_file():
+    if scenario is None or scene == DEFAULT_SCENE or Path(scene).exists() or not Path(scenario).is_file():
         return
     folders = dict.fromkeys([Path(scenario).absolute().parent, Path.cwd()])
     places = " nor at ".join(str(folder / scene) for folder in folders)

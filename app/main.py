@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import App, ArgumentCollection, CycloptsError, Parameter
 
+from gsrain_engine import plugins
 from gsrain_engine.optional_packages import MissingPackageError
-from gsrain_engine.plugins import EVALUATIONS as EVALUATION_POINT
-from gsrain_engine.plugins import find_extensions
+from gsrain_engine.plugins import EntryPointGroup, find_extensions
 from gsrain_engine.safe_io.errors import MissingInputsError, sentence_of
 from ui.commands.table import BENCHMARKS, EVALUATIONS, SHELL_COMMANDS
 
@@ -117,7 +117,7 @@ evaluations = App(name="evaluate", help="Compare rendered images with recorded o
 app.command(evaluations)
 for name, (function, summary) in EVALUATIONS.items():
     evaluations.command(function, name=name, help=summary)
-OUR_EVALUATIONS = frozenset(evaluations)
+BUILT_IN_COMMANDS = {plugins.COMMANDS: frozenset(app), plugins.EVALUATIONS: frozenset(evaluations)}
 
 
 def run(arguments: list[str]) -> int:
@@ -128,12 +128,14 @@ def run(arguments: list[str]) -> int:
         logging.getLogger(name).setLevel(logging.INFO)
     errors = Console(stderr=True, soft_wrap=True)
     try:
+        if arguments[:1] and arguments[0] not in BUILT_IN_COMMANDS[plugins.COMMANDS] - _HARMLESS:
+            add_installed(app, plugins.COMMANDS, arguments[:1])
         if (suggestion := _misspelled(arguments)) is not None:
             raise ValueError(suggestion)
         if not _HARMLESS.intersection(arguments) and not _has_working_directory():
             raise ValueError("the working directory was removed; cd to one that is there")
         if arguments[:1] == ["evaluate"]:
-            add_installed_evaluations(arguments[1:])
+            add_installed(evaluations, plugins.EVALUATIONS, arguments[1:2])
         # Run in a separate context, so that permissions of one command end with it.
         return copy_context().run(_run, spelled_out(arguments))
     except (CycloptsError, ValueError, OSError, MemoryError, ImportError) as error:
@@ -219,19 +221,17 @@ def _misspelled(arguments: list[str]) -> str | None:
     names = [name for name in app if not name.startswith("-")]
     if word in names or word.startswith("-") or _names_scene(word):
         return None
-    like = get_close_matches(word, [*names, *_built_in_scenes()], 1)
+    like = get_close_matches(word, [*names, *_scene_names()], 1)
     return f"{word}: no such command, and no such scene; did you mean gsrain {like[0]}?" if like else None
 
 
 def _names_scene(word: str) -> bool:
     """Return whether a word names a built-in scene, or a file or folder that is there."""
-    return Path(word).exists() or word in _built_in_scenes()
+    return Path(word).exists() or word in _scene_names()
 
 
-def _built_in_scenes() -> Collection[str]:
-    from gsrain_engine.scene.street.layout import STREETS  # loads NumPy, which few words need
-
-    return STREETS
+def _scene_names() -> Sequence[str]:
+    return [each.name for each in find_extensions(plugins.SCENES)]
 
 
 def spelled_out(arguments: Iterable[str]) -> list[str]:
@@ -239,21 +239,21 @@ def spelled_out(arguments: Iterable[str]) -> list[str]:
     return ["--haze=none" if each == "--no-haze" else each for each in arguments]
 
 
-# Evaluations of other installed packages
+# Commands of plug-ins
 
 
-def add_installed_evaluations(asked: Sequence[str]) -> None:
-    """Add the evaluations of other packages; only the one that `asked` begins with is loaded.
+def add_installed(commands: App, point: EntryPointGroup, loaded: Collection[str]) -> None:
+    """Add the commands of a kind that plug-ins have; only those whose names are in `loaded` are imported.
 
-    Raises `ExtensionError` with the reason if that one is unusable.
+    Raises `ExtensionError` with the reason if one of these is unusable.
     """
-    for name in set(evaluations) - OUR_EVALUATIONS:  # from an earlier run
-        del evaluations[name]
-    for each in find_extensions(EVALUATION_POINT):
-        if each.name in OUR_EVALUATIONS:
+    ours = BUILT_IN_COMMANDS[point]
+    for name in set(commands) - ours:  # from an earlier run
+        del commands[name]
+    for each in find_extensions(point):
+        if each.name in ours:
             continue
-        if list(asked[:1]) == [each.name]:
-            evaluations.command(each.load_callable(), name=each.name)
+        if each.name in loaded:
+            commands.command(each.load_callable(), name=each.name)
         else:  # it appears only in the help
-            summary = f"Of the package {each.package} {each.version}."
-            evaluations.command(lambda: None, name=each.name, help=summary)
+            commands.command(lambda: None, name=each.name, help=each.summary)

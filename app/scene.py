@@ -1,7 +1,6 @@
-"""`gsrain info`, `convert` and `street`: inspection, conversion and export of scenes; options about scenes."""
+"""`gsrain info` and `convert`: inspection and conversion of scenes; options about scenes."""
 
-import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,8 +10,7 @@ from PIL import Image
 
 from gsrain_engine.datasets.bags.containers import recognizes_bag
 from gsrain_engine.datasets.bags.reader import read_bag_recording
-from gsrain_engine.datasets.capture import Capture, CaptureFrame, readable_images
-from gsrain_engine.datasets.capture_folder import write_views
+from gsrain_engine.datasets.capture import Capture, readable_images
 from gsrain_engine.datasets.open_capture import capture_format, capture_hint, open_capture
 from gsrain_engine.datasets.open_source import names_scene
 from gsrain_engine.datasets.pose_check import PoseCheck, check_poses
@@ -20,7 +18,6 @@ from gsrain_engine.datasets.summary import CaptureSummary, contact_sheet, summar
 from gsrain_engine.editor.edits.actors import drive_along, drive_along_own_path
 from gsrain_engine.editor.edits.level import level_from_ground, set_camera_height
 from gsrain_engine.editor.viewport.camera import find_scene_core
-from gsrain_engine.optional_packages import require_package
 from gsrain_engine.render.images import write_image
 from gsrain_engine.report.table import Cell, Table, columns
 from gsrain_engine.safe_io.file_kinds import find_file_kind
@@ -43,17 +40,15 @@ from gsrain_engine.scene.lod_tree import MIN_GAUSSIANS
 from gsrain_engine.scene.open import (
     load_scene,
     load_sorted_scene,
-    load_street,
     scene_folder_of,
     sorted_with_trees,
 )
-from gsrain_engine.scene.rig import rig_camera
 from gsrain_engine.scene.scene import Actor, Layer, Scene, bounds
 from gsrain_engine.scene.transforms import with_wetness_baked
 
 from .console import counted, print, print_lines, progress_bar, run_with_progress, wide_console
 from .options import AllowOutside, JsonFile, Orientation, check_within, flag, let_names_lead_outside, option
-from .outputs import check_image, check_scene_folder, check_scene_target, check_writable, lock_outputs, write_numbers
+from .outputs import check_image, check_scene_target, check_writable, lock_outputs, write_numbers
 
 Columns = Annotated[
     Path | None, option("YAML file that describes the columns of a disdrometer table of unknown format.")
@@ -435,54 +430,3 @@ def timed_path(
         return TimedPath(walked, line, 0.0, True)
     line = f"photos without times: walking pace, {WALKING_M_S:g} m/s, is assumed (--speed M_S says otherwise)"
     return TimedPath(replace(walked, is_timed=True), line, WALKING_M_S, True)
-
-
-# gsrain street
-
-
-def street(
-    directory: Annotated[Path, option("Folder to write: DIR/scene is a scene folder, DIR/images a capture.")],
-    /,
-    *,
-    rig: Annotated[str, option("Camera rig that photographs the street: waymo_front3 or nuscenes.")] = "waymo_front3",
-    moments: Annotated[int, option("Number of moments of the drive to photograph; 0 for none.")] = 4,
-    width: Annotated[int, option("Width of the images in pixels.")] = 960,
-    json: JsonFile = None,
-) -> None:
-    """Write the built-in street: Gaussians, tracks, rigs, and true images with depth, normals and labels."""
-    check_within("--moments", moments, 0, 1000)
-    check_within("--width", width, 16, 4096)
-    if moments and sys.platform != "linux":
-        raise ValueError(f"--moments {moments}: images need EGL, which Linux has; --moments 0 needs none")
-    if moments:
-        require_package("pyrender", f"--moments {moments}")
-    check_scene_folder(directory / "scene")
-    check_writable(json, folders=[directory, directory / "images"])
-    scene = load_street()
-    if rig not in scene.rigs:
-        raise ValueError(f"--rig {rig}: the street has {', '.join(scene.rigs)}")
-    lock_outputs(directory)
-    write_scene(scene, directory / "scene")
-    print(f"{directory / 'scene'}: {scene.gaussian_count:,} Gaussians, rigs {', '.join(scene.rigs)}")
-    views = moments * len(scene.rigs[rig])
-    if views:
-        with progress_bar("Photographing", views) as advance:
-            for _ in write_views(directory / "images", _photographs(scene, rig, moments, width)):
-                advance()
-        print(f"{directory / 'images'}: {views} views with depth, normals and labels")
-    write_numbers(json, {"gaussians": scene.gaussian_count, "views": views})
-
-
-def _photographs(scene: Scene, rig: str, moments: int, width: int) -> Iterator[CaptureFrame]:
-    """Render the mesh with every camera of a rig, at times spread over the drive."""
-    from gsrain_engine.datasets.street import StreetViews  # loads pyrender and OpenGL only here
-    from gsrain_engine.scene.street.build import street_surfaces
-
-    assert scene.ego is not None
-    photographer = StreetViews(street_surfaces())
-    for time_s in np.linspace(scene.ego.times[0], scene.ego.times[-1], moments).tolist():
-        for mounted in scene.rigs[rig]:
-            camera = rig_camera(scene, rig, mounted.name, time_s)
-            camera = camera.resized(width, round(width * camera.height / camera.width))
-            view = photographer.view(camera, time_s, f"{mounted.name}_{time_s:07.3f}s")
-            yield replace(view, sensor=mounted.name)

@@ -191,11 +191,11 @@ def recolored(folder: Path) -> tuple[float, float]:
 
 def reconstructed(folder: Path) -> tuple[float, float]:
     """Steps of a training on eight views of the street, 480 x 320, near its beginning."""
-    from gsrain_engine.datasets.street import capture_street
     from gsrain_engine.scene.progress import run_to_end
     from gsrain_engine.scene.rig import rig_camera
     from gsrain_engine.training.settings import load_settings
     from gsrain_engine.training.train import start_training
+    from gsrain_extras.street.ground_truth import capture_street
 
     scene, times = _street(), [0.4 * number for number in range(8)]
     cameras = [rig_camera(scene, "waymo_front3", "FRONT", time_s).resized(480, 320) for time_s in times]

@@ -46,8 +46,8 @@ from gsrain_engine.render.view import rain_camera
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.open import (
     is_random_scene,
+    load_built_in,
     load_scene,
-    load_street,
     random_scene,
     random_scene_camera,
     with_lod_trees,
@@ -463,7 +463,7 @@ def training(options: Options) -> Iterator[Row]:
 
 def street_capture(work: Workload) -> Capture:
     """Views of the street's Gaussians along its drive, with depth."""
-    sequence, processor = sequence_of(load_street(), work.training_size, 0.0), CpuRenderer()
+    sequence, processor = sequence_of(load_built_in(), work.training_size, 0.0), CpuRenderer()
     views: list[CaptureFrame] = []
     for number in range(0, 15 * work.training_views, 15):
         shot, frame = sequence.shot(number), sequence.frame(processor, number, None, with_depth=True)

@@ -22,7 +22,7 @@ from gsrain_engine.render.renderer import Renderer
 from gsrain_engine.render.sequence import FrameSequence
 from gsrain_engine.render.view import RenderView
 from gsrain_engine.scene.lamps import Lamp
-from gsrain_engine.scene.open import load_street
+from gsrain_engine.scene.open import load_built_in
 from gsrain_engine.scene.scene import Scene
 
 NIGHT = SkyLight.uniform((0.05, 0.05, 0.06))
@@ -36,7 +36,7 @@ def main() -> None:
     parser.add_argument("--lamps", default="0,8,64")
     parser.add_argument("--frames", type=int, default=5)
     chosen = parser.parse_args()
-    street, rows = load_street(), []
+    street, rows = load_built_in(), []
     for size in chosen.sizes.split(","):
         width, height = map(int, size.split("x"))
         path = default_path(street, width, height)

@@ -28,10 +28,10 @@ from gsrain_engine.appearance.cyclegan_turbo.cross_view_attention import MAX_SCO
 from gsrain_engine.appearance.cyclegan_turbo.model import CycleGanTurbo, TurboArchitecture, build_random_model, tiny
 from gsrain_engine.appearance.cyclegan_turbo.pretrained import open_model
 from gsrain_engine.appearance.cyclegan_turbo.translator import CycleGanTurboTransfer
-from gsrain_engine.datasets.street import capture_street
 from gsrain_engine.evaluation.consistency import agreements, pool_errors
 from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.scene.street.layout import StreetParameters
+from gsrain_extras.street.ground_truth import capture_street
+from gsrain_extras.street.layout import StreetParameters
 
 STREET = StreetParameters(length_m=120.0, parked_share=0.3, tree_spacing_m=30.0)
 HEADINGS = {"left": 0.5, "front": 0.0, "right": -0.5}

@@ -16,7 +16,7 @@ from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.render.sequence import FrameSequence
 from gsrain_engine.render.view import rain_camera
-from gsrain_engine.scene.open import load_street
+from gsrain_engine.scene.open import load_built_in
 from gsrain_engine.scene.scene import Scene
 
 SEEDS, INTENSITIES, SIZE = 5, ("1.2", "8.5", "12.0"), (960, 640)
@@ -25,7 +25,7 @@ STREAKS, HAZE = {"haze": "none"}, {"streaks": False}
 
 def main() -> None:
     """Measure and print."""
-    street = load_street()
+    street = load_built_in()
     rows = [measure(street, load_preset(name), seed) for name in INTENSITIES for seed in range(SEEDS)]
     rows.append(measure(street, load_preset("paper"), 0) | {"preset": "paper"})
     advice = StreetStills(street).advice()

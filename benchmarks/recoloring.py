@@ -21,9 +21,9 @@ from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.geometry import linear_to_srgb, srgb_to_linear
+from gsrain_engine.scene.labels import Label
 from gsrain_engine.scene.rig import rig_camera
 from gsrain_engine.scene.scene import Scene
-from gsrain_engine.scene.street.layout import Label
 
 MOMENTS, HELD_OUT_MOMENTS, RIG, SIZE = 10, 3, "waymo_front3", (480, 320)
 PLAIN = RecolorSettings(exposure=False, robust=False, rounds=1, tikhonov=0.3)
@@ -60,8 +60,8 @@ def known_change(picture: np.ndarray, view: CaptureFrame) -> np.ndarray:
 
 def street_views(scene: Scene, times_s: list[float], *, mesh: bool = False) -> Iterator[TargetView]:
     """Render the street, and change how it looks by what its mesh says about each pixel."""
-    from gsrain_engine.datasets.street import StreetViews
-    from gsrain_engine.scene.street.build import street_surfaces
+    from gsrain_extras.street.build import street_surfaces
+    from gsrain_extras.street.ground_truth import StreetViews
 
     photographer = StreetViews(street_surfaces(), with_lead=False)
     for time_s in times_s:
@@ -80,9 +80,9 @@ def _drawn(scene: Scene, time_s: float, camera: Camera) -> np.ndarray:
 
 def street(*, mesh: bool = False) -> tuple[Scene, list[TargetView], list[TargetView]]:
     """Return the street without cars that move, thirty views of it, and nine from between those."""
-    from gsrain_engine.scene.open import load_street
+    from gsrain_engine.scene.open import load_built_in
 
-    scene = replace(load_street(), actors=())
+    scene = replace(load_built_in(), actors=())
     times = np.linspace(0.5, 11.5, MOMENTS)
     between = (times[1:] + times[:-1])[:: (MOMENTS - 1) // HELD_OUT_MOMENTS][:HELD_OUT_MOMENTS] / 2
     taught, held_out = (list(street_views(scene, each.tolist(), mesh=mesh)) for each in (times, between))

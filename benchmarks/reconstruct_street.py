@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 
 from gsrain_engine.datasets.capture import Capture
-from gsrain_engine.datasets.street import capture_street
 from gsrain_engine.render.renderer import describe_machine
 from gsrain_engine.scene.camera import Camera
-from gsrain_engine.scene.open import load_street
+from gsrain_engine.scene.open import load_built_in
 from gsrain_engine.scene.rig import rig_camera
 from gsrain_engine.training.data import ReconstructionTask
 from gsrain_engine.training.settings import load_settings
 from gsrain_engine.training.train import reconstruct
+from gsrain_extras.street.ground_truth import capture_street
 
 WIDTH, HEIGHT = 480, 320
 VIEWS = 30
@@ -33,7 +33,7 @@ RIG = "waymo_front3"
 
 def street_capture(with_depth: bool, camera_count: int) -> Capture:
     """Photograph the street from its rig while it drives."""
-    scene = load_street()
+    scene = load_built_in()
     cameras: list[Camera] = []
     times: list[float] = []
     for time_s in np.linspace(0.0, LAST_S[camera_count], VIEWS // camera_count).tolist():

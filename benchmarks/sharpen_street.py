@@ -2,7 +2,7 @@
 
     python -m benchmarks.sharpen_street street street:dusk
 
-Writes the files that `gsrain_engine.scene.street.sharpness` reads; takes about 15 minutes a street on two cores, 4 GB
+Writes the files that `gsrain_extras.street.sharpness` reads; takes about 15 minutes a street on two cores, 4 GB
 and EGL. The factors minimize squared errors of pictures against photographs of the mesh, in display colors and, with
 more weight, in differences of neighboring pixels, by conjugate gradients. Edges, which are still softer than those of
 the mesh then, get `GAIN` times that.
@@ -21,7 +21,6 @@ from scipy.sparse.linalg import LinearOperator, cg
 from benchmarks.street_sharpness import ego_views, mesh_picture
 from gsrain_engine.backends import open_renderer
 from gsrain_engine.datasets.geometry import scaled_camera
-from gsrain_engine.datasets.street import StreetViews
 from gsrain_engine.rain.simulation import OVERCAST
 from gsrain_engine.render.cpu.compositing import ColorOperator, color_operator
 from gsrain_engine.render.draw import draw
@@ -29,12 +28,13 @@ from gsrain_engine.render.frame_input import FrameInput
 from gsrain_engine.render.view import RenderView
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.gaussians import SH_C0
+from gsrain_engine.scene.geometry import rotation_about_z
 from gsrain_engine.scene.rig import rig_camera
 from gsrain_engine.scene.scene import Scene
-from gsrain_engine.scene.street.build import LEAD_ID, scene_of, street_surfaces
-from gsrain_engine.scene.street.layout import STREETS
-from gsrain_engine.scene.street.mesh import rotation_about_z
-from gsrain_engine.scene.street.sharpness import sharpness_file, write_color_factors
+from gsrain_extras.street.build import LEAD_ID, scene_of, street_surfaces
+from gsrain_extras.street.ground_truth import StreetViews
+from gsrain_extras.street.layout import STREETS
+from gsrain_extras.street.sharpness import sharpness_file, write_color_factors
 
 GAIN = 1.6
 FRONT_VIEWS, OTHER_TIMES, FREE_VIEWS = 23, 12, 24

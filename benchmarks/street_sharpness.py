@@ -17,14 +17,14 @@ from jaxtyping import Float32
 
 from gsrain_engine.backends import open_renderer
 from gsrain_engine.datasets.geometry import scaled_camera
-from gsrain_engine.datasets.street import StreetViews
 from gsrain_engine.rain.simulation import OVERCAST
 from gsrain_engine.render.draw import draw
 from gsrain_engine.render.frame_input import FrameInput
 from gsrain_engine.render.view import RenderView
 from gsrain_engine.scene.rig import rig_camera
 from gsrain_engine.scene.scene import Scene
-from gsrain_engine.scene.street.build import scene_of, street_surfaces
+from gsrain_extras.street.build import scene_of, street_surfaces
+from gsrain_extras.street.ground_truth import StreetViews
 
 _SAMPLES = 4
 

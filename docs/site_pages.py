@@ -64,9 +64,12 @@ def with_site_links(markdown: str, source: str, page: str) -> str:
 def commands_page() -> str:
     """Write the reference of the command line, from the program itself."""
     _import_from_checkout()
-    from app.main import app
+    from app.main import add_installed, app, evaluations
     from app.options import all_listed
+    from gsrain_engine import plugins
 
+    for commands, point in ((app, plugins.COMMANDS), (evaluations, plugins.EVALUATIONS)):
+        add_installed(commands, point, [each.name for each in plugins.find_extensions(point)])
     with all_listed():
         text = app.generate_docs(output_format="markdown")
     text = _LISTS.sub("", _CONTENTS.sub("", text, count=1))

@@ -6,7 +6,8 @@ from pathlib import Path
 
 from app.main import benchmarks, evaluations, view
 from docs import api_page
-from gsrain_engine.plugins import SCENE_FORMATS, find_extensions
+from gsrain_engine import plugins
+from gsrain_engine.plugins import find_extensions
 from gsrain_engine.scene.formats import FORMATS, Format
 from ui.commands.table import BENCHMARKS, EVALUATIONS, SHELL_COMMANDS
 from ui.panels.registry import BUILT_IN_PANELS, DockSide, Panel
@@ -24,7 +25,7 @@ _SIDES: dict[DockSide, str] = {
 
 def formats() -> str:
     """Return the table of scene formats, with those that this program adds as extensions."""
-    known = *FORMATS, *(each.load(Format) for each in find_extensions(SCENE_FORMATS) if each.is_own)
+    known = *FORMATS, *(each.load(Format) for each in find_extensions(plugins.SCENE_FORMATS) if each.is_own)
     rows = [f"| `{each.suffix}` | {'yes' if each.write else 'no'} | {each.description} |" for each in known]
     return "\n".join(["", "| file | written | contents |", "|---|---|---|", *rows, "", ""])
 
@@ -33,6 +34,7 @@ def commands() -> str:
     """Return the table of all commands, each with its sentence of the help."""
     rows = [("gsrain [SCENE]", (view.__doc__ or "").strip())]
     rows += [(f"gsrain {name}", summary) for name, (_, summary) in SHELL_COMMANDS.items()]
+    rows += [(f"gsrain {each.name}", each.summary) for each in find_extensions(plugins.COMMANDS)]
     for group, members in ((evaluations, EVALUATIONS), (benchmarks, BENCHMARKS)):
         rows.append((f"gsrain {group.name[0]}", group.help))
         rows += [(f"gsrain {group.name[0]} {name}", summary) for name, (_, summary) in members.items()]

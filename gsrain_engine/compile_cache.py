@@ -16,9 +16,14 @@ from pathlib import Path
 import platformdirs
 
 _HERE = Path(__file__).parent
-_SOURCES = _HERE / "render" / "cpu", _HERE / "render" / "autodiff", _HERE / "rain"
-"""Folders with kernels that call those of other files."""
-FRAME_SOURCES = *_SOURCES, _HERE / "scene"  # folders of all kernels of a frame
+FRAME_SOURCES = tuple(
+    _HERE / each
+    for each in (
+        "rain", "render/autodiff", "render/cpu", "water", "scene/ground_water.py", "scene/lens_kernels.py",
+        "scene/water_surface.py",
+    )
+)  # fmt: skip
+"""Folders and files with kernels that others call, and with the constants in them."""
 _CACHED_VERSIONS = 2
 _UNUSED_S = 3600.0  # age after which an unused folder may be removed; a process that still uses it only compiles again
 KERNELS = 107  # of all pictures, as a first start compiles them; some effects have a few more
@@ -35,9 +40,9 @@ def use_kernel_cache() -> None:
     if chosen is None or Path(chosen).parent == root:
         # Kernels that let others run end the process where this layer is set (`kernels.py`): it has its own folder.
         version = metadata.version("gsrain") + os.environ.get("NUMBA_THREADING_LAYER", "")
-        folder = kernel_cache(root, version, _SOURCES)
+        folder = kernel_cache(root, version, FRAME_SOURCES)
         if not _has_room(folder) and (other := _temporary_root()) is not None:
-            folder = kernel_cache(other, version, _SOURCES)
+            folder = kernel_cache(other, version, FRAME_SOURCES)
         _remove_torn(folder)
         os.environ["NUMBA_CACHE_DIR"] = str(folder)
 
@@ -93,9 +98,9 @@ def kernel_cache(root: Path, version: str, sources: Iterable[Path]) -> Path:
     """Create the cache folder for the current sources, and remove outdated ones.
 
     Numba checks only a compiled function's own file, not the files of the functions that it calls: a change there has
-    to lead to another folder. Python files in the folders `sources` count by path, time and size. The two most recently
-    used cache folders stay. Any number of processes may call this at once. If the disk can't be written, Numba selects
-    a folder itself.
+    to lead to another folder. Python files, and those in folders, count by name and contents, wherever the program is
+    installed. The two most recently used cache folders stay. Any number of processes may call this at once. If the disk
+    can't be written, Numba selects a folder itself.
     """
     folder = root / _key(version, sources)
     with suppress(OSError):
@@ -159,9 +164,11 @@ def _remove_torn(folder: Path) -> None:
 
 def _key(version: str, sources: Iterable[Path]) -> str:
     digest = hashlib.sha256(version.encode())
-    for file in sorted(file for folder in sources for file in folder.glob("[!.]*.py")):
-        status = file.stat()
-        digest.update(f"\n{file} {status.st_mtime_ns} {status.st_size}".encode())
+    for file in sorted(
+        each for source in sources for each in (source.glob("[!.]*.py") if source.is_dir() else [source])
+    ):
+        contents = file.read_bytes()
+        digest.update(f"\n{file.parent.name}/{file.name} {len(contents)}\n".encode() + contents)
     return digest.hexdigest()[:16]
 
 

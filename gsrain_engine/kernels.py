@@ -1,11 +1,12 @@
-"""Compiled kernels: their option that lets other threads run while they work, and the report of their compilation."""
+"""Compiled kernels: an option that lets other threads run, their place in the cache, and a report of compilation."""
 
 import logging
 from contextlib import suppress
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
-from numba.core import config, event
+from numba.core import caching, config, event
 
 from .compile_cache import KERNELS, compiled_kernels, is_first_to_compile
 
@@ -25,6 +26,28 @@ def _take_concurrent_calls() -> bool:
 
 NOGIL = _take_concurrent_calls()
 """Option `nogil` of kernels. Without it Python's lock, held while a kernel runs, keeps them from running at once."""
+
+
+class SharedCacheLocator(caching.UserProvidedCacheLocator):
+    """Caches kernels of this program by their folder in it: all installations of one version share them."""
+
+    def __init__(self, py_func: Any, py_file: str) -> None:
+        super().__init__(py_func, py_file)
+        own = Path(py_file).resolve().relative_to(_PROGRAM).parent
+        self._cache_path = str(Path(config.CACHE_DIR, *own.parts))
+
+    @classmethod
+    def from_function(cls, py_func: Any, py_file: str) -> Any:
+        if not Path(py_file).resolve().is_relative_to(_PROGRAM):
+            return None
+        return super().from_function(py_func, py_file)
+
+
+_PROGRAM = Path(__file__).resolve().parent
+if not config.CACHE_LOCATOR_CLASSES:  # chosen by the user, by a variable of the environment
+    _LOCATORS = "UserProvided", "InTree", "UserWide", "IPython", "Zip"
+    _NAMES = f"{__name__}.{SharedCacheLocator.__name__}", *(f"{each}CacheLocator" for each in _LOCATORS)
+    config.CACHE_LOCATOR_CLASSES = ",".join(_NAMES)
 
 
 class CompilationReport(event.Listener):

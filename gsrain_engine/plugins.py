@@ -1,10 +1,12 @@
 """Extensions: entry points of other installed packages, one group for each kind."""
 
+import ast
 import logging
 import sys
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from importlib.metadata import entry_points
+from importlib.util import find_spec
 from pathlib import Path
 from traceback import walk_tb
 from typing import Any, NamedTuple, TypeVar
@@ -24,18 +26,21 @@ class EntryPointGroup(NamedTuple):
 
 AGENTS = EntryPointGroup("gsrain.agents", "agent")
 CAPTURE_FORMATS = EntryPointGroup("gsrain.capture_formats", "capture format")
+COMMANDS = EntryPointGroup("gsrain.commands", "command")
 DECODERS = EntryPointGroup("gsrain.decoders", "decoder")
 DISDROMETERS = EntryPointGroup("gsrain.disdrometers", "disdrometer format")
 DRIVE_EXPORTS = EntryPointGroup("gsrain.drive_exports", "drive export")
 EVALUATIONS = EntryPointGroup("gsrain.evaluations", "evaluation")
+MODELS = EntryPointGroup("gsrain.models", "library of models")
 PANELS = EntryPointGroup("gsrain.panels", "panel")
 PROTOCOLS = EntryPointGroup("gsrain.protocols", "protocol")
 SCENARIO_FORMATS = EntryPointGroup("gsrain.scenario_formats", "scenario format")
 SCENE_FORMATS = EntryPointGroup("gsrain.scene_formats", "scene format")
+SCENES = EntryPointGroup("gsrain.scenes", "scene")
 TRANSFERS = EntryPointGroup("gsrain.transfers", "transfer")
 GROUPS = (
-    AGENTS, CAPTURE_FORMATS, DECODERS, DISDROMETERS, DRIVE_EXPORTS, EVALUATIONS, PANELS, PROTOCOLS, SCENARIO_FORMATS,
-    SCENE_FORMATS, TRANSFERS,
+    AGENTS, CAPTURE_FORMATS, COMMANDS, DECODERS, DISDROMETERS, DRIVE_EXPORTS, EVALUATIONS, MODELS, PANELS, PROTOCOLS,
+    SCENARIO_FORMATS, SCENE_FORMATS, SCENES, TRANSFERS,
 )  # fmt: skip
 """All groups; docs/extending.md has an example of each."""
 
@@ -67,6 +72,11 @@ class Extension:
     def title(self) -> str:
         """Name in messages: panel cloudburst (my_package:PANEL of my-package)."""
         return f"{self.group.noun} {self.name} ({self.place} of {self.package or 'an installed package'})"
+
+    @cached_property
+    def summary(self) -> str:
+        """First line of its module, which is read but not run; else the package and its version."""
+        return _first_line(self.place.partition(":")[0]) or f"Of the package {self.package} {self.version}."
 
     def load(self, kind: type[_Kind]) -> _Kind:
         """Return the named object. Raises `ExtensionError` if it can't be imported or is of another kind."""
@@ -117,6 +127,19 @@ class Extension:
             return self._entry.load(), None
         except Exception as error:  # third-party code may raise anything: its message is the reason
             return None, error
+
+
+def _first_line(module: str) -> str:
+    """First line of a module's documentation; "" if there is none, or it can't be found."""
+    package, *rest = module.split(".")
+    try:
+        spec = find_spec(package)
+        places = [] if spec is None else spec.submodule_search_locations or []
+        file = next((path for each in places if (path := Path(each, *rest).with_suffix(".py")).is_file()), None)
+        found = ast.get_docstring(ast.parse(file.read_bytes())) if file is not None else None
+    except (ImportError, OSError, ValueError, SyntaxError):
+        return ""
+    return (found or "").partition("\n")[0]
 
 
 def find_extensions(group: EntryPointGroup) -> tuple[Extension, ...]:

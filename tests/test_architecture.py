@@ -78,8 +78,9 @@ def test_no_file_is_long_without_a_reason():
 
 def printers(path: Path) -> Iterator[str]:
     """Everything in a file that prints without `app.console`: rich, the built-in print, the standard streams."""
-    own = {each.asname or each.name for node in nodes_of(path, ast.ImportFrom)
-           for each in node.names if (node.module or "").split(".")[-1] == "console" and node.level}  # fmt: skip
+    imports = [each for each in nodes_of(path, ast.ImportFrom) if each.module == "app.console" or each.level]
+    own = {each.asname or each.name for node in imports if (node.module or "").endswith("console")
+           for each in node.names}  # fmt: skip
     for node in nodes_of(path, ast.Import):
         yield from (each.name for each in node.names if each.name.split(".")[0] == "rich")
     for node in nodes_of(path, ast.ImportFrom):

@@ -10,17 +10,18 @@ import yaml
 from cyclopts import CycloptsError, UnknownCommandError, UnknownOptionError
 
 import gsrain as gr
-from app.main import app, benchmarks, evaluations, spelled_out
+from app.main import add_installed, app, benchmarks, evaluations, spelled_out
 from docs import figures, tables
 from documentation import PAGES, anchors_of, commands_of, links_of, text_of
+from gsrain_engine import plugins
 from repository import REPOSITORY
 from ui.commands.keys import chord_name
 from ui.commands.table import COMMANDS, SHELL_COMMANDS
 from ui.panels.registry import BUILT_IN_PANELS
 from ui.tools import TOOLS
 
-OF_EXTENSIONS = {("evaluate", "contrast"), ("evaluate", "NAME")}
-"""Commands that docs/extending.md adds."""
+OF_EXTENSIONS = {"contrast", "NAME", "count"}
+"""Commands and evaluations of the examples in docs/extending.md."""
 SITE = yaml.safe_load((REPOSITORY / "mkdocs.yml").read_text(encoding="utf-8"))
 LISTED = [each for page in PAGES for each in commands_of(page)]
 
@@ -57,6 +58,7 @@ def test_every_page_is_in_the_menu_of_the_site(site_pages):
     assert all((REPOSITORY / source).is_file() for source in site_pages.ELSEWHERE)
 
 
+@pytest.mark.street
 @pytest.mark.parametrize("command", figures.FIGURES)
 def test_figures_of_pages_are_what_the_command_prints(command, tmp_path):
     """Within half a percent, by which processors may differ."""
@@ -111,8 +113,14 @@ def test_the_reference_names_every_command(site_pages):
     text = site_pages.commands_page()
     assert text.startswith("# Commands\n\nWhat `gsrain COMMAND --help-all` says")
     headings = set(re.findall(r"^#+ (.*)$", text, re.MULTILINE))
-    assert {each.words[0] for each in LISTED if each.words} >= {*SHELL_COMMANDS, "evaluate", "bench"}
-    names = {*SHELL_COMMANDS, *(f"evaluate {each}" for each in evaluations), *(f"bench {each}" for each in benchmarks)}
+    installed = {each.name for each in plugins.find_extensions(plugins.COMMANDS)}
+    assert {each.words[0] for each in LISTED if each.words} >= {*SHELL_COMMANDS, *installed, "evaluate", "bench"}
+    names = {
+        *SHELL_COMMANDS,
+        *installed,
+        *(f"evaluate {each}" for each in evaluations),
+        *(f"bench {each}" for each in benchmarks),
+    }
     expected = {f"gsrain {name}" for name in names if "--" not in name and not name.endswith(" -h")}
     assert expected <= headings | {each.strip("`") for each in headings}
     assert "--intensities" in text and "[required]" in text and "**Parameters**" not in text
@@ -131,9 +139,10 @@ def test_the_reference_has_every_name_with_its_arguments_and_pictures(site_pages
 
 @pytest.mark.parametrize("name", sorted({each.words[0] if each.words else "" for each in LISTED}))
 def test_commands_of_the_documentation_are_those_of_the_program(name):
+    add_installed(app, plugins.COMMANDS, [name])
     for command in LISTED:
         words = command.words
-        if (words[0] if words else "") != name or words[:2] in OF_EXTENSIONS or "--help" in words:
+        if (words[0] if words else "") != name or not OF_EXTENSIONS.isdisjoint(words[:2]) or "--help" in words:
             continue
         try:
             app.parse_args(spelled_out(words), exit_on_error=False, print_error=False)

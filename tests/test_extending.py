@@ -16,11 +16,13 @@ from extension_package import installed, titled_blocks
 from gsrain_engine.appearance.output_folder import read_transferred
 from gsrain_engine.appearance.registry import usable_methods
 from gsrain_engine.datasets.open_capture import capture_format, open_capture
+from gsrain_engine.datasets.open_source import names_scene
 from gsrain_engine.disdrometer.open import read_disdrometer
 from gsrain_engine.plugins import GROUPS
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
+from gsrain_engine.scene.open import load_scene, scene_hash
 from gsrain_engine.simulation.agents.base import Agent
 from gsrain_engine.simulation.agents.registry import open_agent
 from gsrain_engine.simulation.drive_exports import FinishedDrive, find_drive_export
@@ -28,6 +30,7 @@ from gsrain_engine.simulation.scenario import Scenario
 from gsrain_engine.simulation.scenario_io import load_scenario, scenario_suffixes
 from gsrain_engine.simulation.serving.protocols import RainyScene, ServerOptions, find_protocol
 from gsrain_engine.simulation.simulation import Simulation, run_drive
+from gsrain_engine.simulation.traffic.appearance import vehicle_model
 from repository import REPOSITORY
 from small_scene import small_scene
 
@@ -164,7 +167,7 @@ def test_captures_are_read(rain_lab, tmp_path, capsys):
 def test_evaluations_are_commands(rain_lab, scene, capsys):
     assert run(["evaluate", "--help"]) == run(["evaluate", "contrast", "--help"]) == 0
     printed = capsys.readouterr().out
-    assert re.search(r"contrast\s+Of the package rain-lab 0\.1\.0", printed)
+    assert re.search(r"contrast\s+The remaining contrast of a scene in the rain", printed)
     assert "Fit a line through the pixels" in printed
     assert run(["evaluate", "contrast", str(scene), "--rain", "8.5", "--rain", "50", "--width", "96"]) == 0
     shares = {line.split()[0]: float(line.split()[-1]) for line in capsys.readouterr().out.splitlines()}
@@ -193,6 +196,35 @@ def test_scenarios_are_read(rain_lab, tmp_path):
     file.write_text("[test]\nspeed_m_s = fast\n")
     with pytest.raises(ValueError, match=r"late_braking\.ini: expected speed_m_s, .*fast"):
         load_scenario(file)
+
+
+def test_functions_are_commands(rain_lab, scene, capsys):
+    assert run(["--help"]) == run(["count", "--help"]) == 0
+    printed = capsys.readouterr().out
+    assert re.search(r"count\s+Count the Gaussians of a scene that are as large", printed)
+    assert "--below-mm" in printed
+    assert run(["count", str(scene), "--below-mm", "1e6"]) == 0
+    every = read_scene(scene).gaussian_count
+    assert capsys.readouterr().out == f"{every:,} of {every:,}\n"
+    assert "did you mean gsrain count?" in refused(capsys, "cuont")
+
+
+def test_scenes_are_opened_by_name(rain_lab, monkeypatch, tmp_path, capsys):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert load_scene("plaza").gaussian_count == 6400 and names_scene("plaza")
+    assert len(list((tmp_path / "gsrain").glob("plaza-*"))) == 1
+    assert scene_hash("plaza") != scene_hash("street")
+    assert run(["render", "plaza", "-o", str(tmp_path / "plaza.png"), "--rain", "8.5", "--size", "64x48"]) == 0
+    assert "no such scene; did you mean gsrain plaza?" in refused(capsys, "plazza")
+
+
+def test_models_are_road_users(rain_lab):
+    cones = [vehicle_model(name, small_scene()) for name in ("cone", "cone/red")]
+    assert [each.size_lwh_m for each in cones] == [(0.4, 0.4, 0.75)] * 2
+    assert not np.array_equal(*(each.gaussians.sh for each in cones))
+    for model, words in (("cone/blue", "no paint is called 'blue', only red"), ("cones", "none of cone")):
+        with pytest.raises(ValueError, match=words):
+            vehicle_model(model, small_scene())
 
 
 def test_protocols_serve_scenes(rain_lab, scene, tmp_path, capsys):

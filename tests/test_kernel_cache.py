@@ -3,9 +3,11 @@
 Processes import this module, so that it imports little.
 """
 
+import ast
 import gc
 import multiprocessing
 import os
+import shutil
 import subprocess
 import sys
 import time
@@ -18,6 +20,7 @@ import pytest
 
 from gsrain_engine import compile_cache as cache
 from gsrain_engine.compile_cache import has_kernels, kernel_cache, mark_kernels, use_kernel_cache
+from repository import REPOSITORY
 
 
 @pytest.fixture
@@ -33,18 +36,20 @@ def test_every_state_of_the_sources_has_its_folder(tmp_path, sources):
     folders = [kernel_cache(root, version, [sources])]
     for change in (
         lambda: (sources / "a.py").write_text("x = 10\n"),
-        lambda: os.utime(sources / "a.py", ns=(5, 5)),
         lambda: (sources / "b.py").write_text(""),
     ):
         assert kernel_cache(root, version, [sources]) == folders[-1]
         change()
         folders.append(kernel_cache(root, version, [sources]))
     folders.append(kernel_cache(root, "2", [sources]))
-    assert len(set(folders)) == 5
+    assert len(set(folders)) == 4
     assert all(folder.parent == root and folder.is_dir() for folder in folders)
     (sources / "notes.txt").write_text("")
     (sources / ".#a.py").symlink_to("nowhere")  # an editor's lock
-    assert kernel_cache(root, "2", [sources]) == folders[-1]
+    os.utime(sources / "a.py", ns=(5, 5))
+    elsewhere = shutil.copytree(sources, tmp_path / "installed" / sources.name, symlinks=True)
+    assert kernel_cache(root, "2", [sources]) == kernel_cache(root, "2", [elsewhere]) == folders[-1]
+    assert kernel_cache(root, "2", [sources / "a.py"]) != folders[-1]
     (tmp_path / "file").write_text("")
     assert kernel_cache(tmp_path / "file", "1", [sources]).parent == tmp_path / "file"  # can't be written: no error
 
@@ -118,6 +123,38 @@ def test_kernels_are_marked_for_sources_and_processor(tmp_path, sources, monkeyp
         assert not has_kernels()
     (sources / "a.py").write_text("x = 10\n")
     assert not has_kernels()
+
+
+def kernels_of(path: Path) -> set[str]:
+    functions = [each for each in ast.parse(path.read_bytes()).body if isinstance(each, ast.FunctionDef)]
+    return {each.name for each in functions if any("njit" in ast.unparse(line) for line in each.decorator_list)}
+
+
+def test_kernels_that_kernels_of_other_files_call_are_sources():
+    root = REPOSITORY / "gsrain_engine"
+    kernels = {path: found for path in root.rglob("*.py") if (found := kernels_of(path))}
+    called = set()
+    for path in kernels:
+        for node in ast.walk(ast.parse(path.read_bytes())):
+            if isinstance(node, ast.ImportFrom) and node.level and node.module:
+                other = Path(path.parents[node.level - 1], *node.module.split(".")).with_suffix(".py")
+                if kernels.get(other, set()) & {each.name for each in node.names}:
+                    called.add(other)
+    assert len(called) > 10
+    assert [path for path in called if not {path, path.parent} & set(cache.FRAME_SOURCES)] == []
+
+
+def test_another_installation_finds_the_kernels(tmp_path):
+    """Numba's index is found from a copy of the program elsewhere, whose files are of another time."""
+    find = "from gsrain_engine.simulation import controllers as c; print(c.wrap_angle_kernel._cache.cache_path)"
+    copy = tmp_path / "site"
+    shutil.copytree(REPOSITORY / "gsrain_engine", copy / "gsrain_engine", ignore=shutil.ignore_patterns("__pycache__"))
+    places = set()
+    for folder in (REPOSITORY, copy):
+        own = os.environ | {"PYTHONPATH": str(folder), "NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
+        done = subprocess.run([sys.executable, "-P", "-c", find], env=own, capture_output=True, text=True, check=True)
+        places.add(done.stdout.strip())
+    assert places == {str(tmp_path / "kernels" / "simulation")}
 
 
 COUNT = """

@@ -35,7 +35,7 @@ def test_each_optional_package_is_one_of_its_extra():
     ("module", "words", "package", "extra"),
     [
         ("xarray", ["disdrometer", "-o", "{out}/a.nc"], "xarray", "netcdf"),
-        ("pyrender", ["street", "{out}/street"], "pyrender", "street"),
+        pytest.param("pyrender", ["street", "{out}/street"], "pyrender", "street", marks=pytest.mark.street),
         ("grpc", ["serve", "{scene}"], "grpcio", "alpasim"),
         ("carla_canvas", ["serve", "{scene}", "--protocol", "carla-canvas"], "carla-canvas", "carla"),
         ("viser", ["serve", "{scene}", "--protocol", "browser"], "viser", "viser"),

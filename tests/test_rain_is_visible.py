@@ -13,7 +13,7 @@ from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.render.sequence import FrameSequence
 from gsrain_engine.render.view import rain_camera
-from gsrain_engine.scene.open import load_street
+from gsrain_engine.scene.open import load_built_in
 from repository import REPOSITORY
 
 SEEDS, INTENSITIES = range(5), ("1.2", "8.5", "12.0")
@@ -24,7 +24,7 @@ class Stills:
     """Stills of the street 2 s into the default drive, with one sky color."""
 
     def __init__(self):
-        self.renderer, self.street = CpuRenderer(), load_street()
+        self.renderer, self.street = CpuRenderer(), load_built_in()
         path = default_path(self.street, 960, 640)
         self.sequence = FrameSequence(
             self.street, RainSimulation.start(load_preset("clear")), path, 960, 640, start_s=2.0

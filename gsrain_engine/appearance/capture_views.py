@@ -14,9 +14,9 @@ from ..datasets.masks import box_outline, pixel_rays
 from ..datasets.sky_masks import certain_sky
 from ..datasets.undistort import undistort_frame
 from ..render.guided_filter import color_guided_filter
+from ..scene.labels import Label
 from ..scene.objects import is_vehicle
 from ..scene.scene import rotation_to_z_up
-from ..scene.street.layout import Label
 from .base import ClearView, Plane
 from .normals import normals_from_depth
 from .scene_views import CachedViews

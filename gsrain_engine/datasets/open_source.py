@@ -5,7 +5,7 @@ from pathlib import Path
 from ..safe_io.fingerprints import input_fingerprint
 from ..scene.formats.registry import format_of
 from ..scene.formats.scene_files import is_foreign_scene_folder
-from ..scene.open import is_built_in_street, load_scene, load_sorted_scene, scene_folder_of, scene_hash
+from ..scene.open import is_built_in, load_scene, load_sorted_scene, scene_folder_of, scene_hash
 from ..scene.scene import Scene
 from .capture import Capture
 from .open_capture import capture_format, open_capture
@@ -16,7 +16,7 @@ def names_scene(name: Path | str | None) -> bool:
 
     Ambiguous folders, such as scene.json with images, count as scenes.
     """
-    if is_built_in_street(name):
+    if is_built_in(name):
         return True
     path = Path(str(name))
     return scene_folder_of(path) is not None or format_of(path) is not None or is_foreign_scene_folder(path)
@@ -37,7 +37,7 @@ def source_hash(name: Path | str | None) -> str:
 
 def missing_source(name: Path | str | None) -> list[str]:
     """Return the reason if a source is not there, as a list of one line; empty if it is, or for None."""
-    if name is None or is_built_in_street(name) or Path(name).exists() or capture_format(name) is not None:
+    if name is None or is_built_in(name) or Path(name).exists() or capture_format(name) is not None:
         return []
     try:
         load_scene(name) if names_scene(name) else open_capture(name)

@@ -21,7 +21,7 @@ from ..safe_io.text_files import MAX_BYTES, printable_line
 from ..scene.formats.registry import format_of, lost_in_file, writable_suffixes
 from ..scene.formats.scene_files import names_scene_folder, write_scene
 from ..scene.formats.scene_folder import SCENE_FILE, FileCache
-from ..scene.open import folder_to_read, is_built_in_street, load_drawable_scene, scene_folder_of
+from ..scene.open import folder_to_read, is_built_in, load_drawable_scene, scene_folder_of
 from ..scene.scene import Scene
 from .autosave import Autosave, FileFingerprint, RecoveryCandidate, fingerprint_of, has_changed, saved_scene
 from .background import Background, Task
@@ -276,7 +276,7 @@ class Files:
         if recovered is not None:
             self.saved = replace(document)  # a new object, so that the document counts as changed
         self.recovery.enter(opened.home, document, recovered)
-        if opened.source and not is_built_in_street(opened.source) and recovered is None:
+        if opened.source and not is_built_in(opened.source) and recovered is None:
             self._update_recent(Path(opened.source))
 
     def give_up(self) -> None:
@@ -439,9 +439,9 @@ def load_document(path: str) -> LoadedDocument:
     """
     known = FileCache()
     try:
-        home = folder_to_read(Path(path)) if not is_built_in_street(path) else None
+        home = folder_to_read(Path(path)) if not is_built_in(path) else None
         stamp = fingerprint_of(home) if home is not None else None  # before reading, to detect a change meanwhile
-        source = path if is_built_in_street(path) else str(home or Path(path).absolute())
+        source = path if is_built_in(path) else str(home or Path(path).absolute())
         return LoadedDocument(load_drawable_scene(path, known), source, home, stamp, known)
     except SceneFormatError:
         kind = capture_format(path) if scene_folder_of(Path(path)) is None else None

@@ -18,7 +18,7 @@ from ..presets import load_values
 from ..report.table import Cell, Column, Table
 from ..safe_io.errors import convert_checked
 from ..safe_io.text_files import printable_line
-from ..scene.open import STREET
+from ..scene.built_in import DEFAULT_SCENE
 from .consistency import WarpAgreement, agreements, open_view_folder, pool_errors
 from .fid import DistributionDistance
 
@@ -225,7 +225,7 @@ def load_comparison(name: str | Path) -> TransferComparison:
     Files that it names are searched in its own folder first, then in the working folder. Raises ValueError with the
     file, the field and the expected value; `UntrustedCodeError` if it names a program that the user has not trusted.
     """
-    values = load_values(SHIPPED, name, "comparison", _FILES, {STREET})
+    values = load_values(SHIPPED, name, "comparison", _FILES, {DEFAULT_SCENE})
     try:
         comparison = convert_checked(values, TransferComparison, dec_hook=_path)
     except ValueError as error:

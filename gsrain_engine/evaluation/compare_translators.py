@@ -33,7 +33,7 @@ from ..safe_io.errors import not_found
 from ..safe_io.files import whole_file
 from ..safe_io.fingerprints import input_fingerprint
 from ..safe_io.limits import read_file
-from ..scene.open import STREET
+from ..scene.built_in import DEFAULT_SCENE
 from ..scene.progress import Progress
 from .compare_results import CLEAR, ComparedMethod, ComparedRow, ComparisonPairs, TransferComparison
 from .fid import MIN_IMAGES, FeatureCache, ImageSetFeatures, distribution_distance, extract_features
@@ -179,7 +179,7 @@ def missing_inputs(comparison: TransferComparison) -> list[str]:
     missing += [
         f"{field} {path}: no such file or folder"
         for field, path in places
-        if path is not None and path != STREET and not Path(path).exists() and capture_format(path) is None
+        if path is not None and path != DEFAULT_SCENE and not Path(path).exists() and capture_format(path) is None
     ]
     if comparison.extractor == "inception" and comparison.extractor_weights is None and find_spec("torch") is not None:
         from .fid_torch_features import inception_weights_file

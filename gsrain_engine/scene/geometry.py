@@ -65,6 +65,12 @@ def quaternion_product(left: Float[np.ndarray, "*n 4"], right: Float[np.ndarray,
     )
 
 
+def rotation_about_z(degrees: float) -> Float[np.ndarray, "3 3"]:
+    """Counter-clockwise as viewed from above."""
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
 # sRGB transfer function (IEC 61966-2-1)
 
 

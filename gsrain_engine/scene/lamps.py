@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Bool, Float64
 from msgspec import Meta
 
 from ..settings import Settings
@@ -83,3 +83,24 @@ def lit_lamps(placed: Sequence[tuple[Lamp, Float64[np.ndarray, "4 4"]]]) -> LitL
         np.cos(cones[:, 0]),
         np.cos(cones[:, 1]),
     )
+
+
+# Lamps of streets
+
+LANTERN_M2 = 250.0
+"""Intensity of a lantern: an irradiance of 6 at its foot, of which asphalt returns a sixth of a camera's white."""
+LANTERN_COLOR = (1.0, 0.66, 0.33)
+LANTERN_INNER_DEG, LANTERN_OUTER_DEG = 48.0, 88.0
+LANTERN_HEIGHT_M = 6.465
+"""Height of a lantern's lamp over its foot."""
+LAMP_REACH_M = 60.0
+"""Maximum distance from a lantern to what it lights."""
+SIGNAL_M2 = 12.0
+"""Intensity of a signal of 200 mm, dimmed by night: 120 cd, with 10 cd for 1 m2."""
+_THROUGH_LEAF = 0.24  # share of light on the back of a leaf that comes through
+
+
+def facing_share(cosine: Float64[np.ndarray, " n"], leaf: Bool[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
+    """Cosine law; leaves let light through, and scatter it between them."""
+    through = 0.15 + 0.55 * np.maximum(cosine, 0) + _THROUGH_LEAF * np.maximum(-cosine, 0)
+    return np.where(leaf, through, np.maximum(cosine, 0))

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
+from .built_in import SceneBox, built_in_scene
 from .gaussians import Gaussians
 from .scene import Actor, Layer, PoseTrack, Scene
-from .street.build import OBJECT_LAYERS, StreetBox, street_boxes
-from .street.layout import STREETS
 
 _MARGIN_M = 0.2  # includes mirrors and Gaussians that protrude from a box
 _SHADOW_HEIGHT_M, _SHADOW_OPACITY = 0.1, 0.9  # lower and less opaque Gaussians are the object's baked shadow
@@ -36,16 +35,16 @@ class SceneObject:
 def scene_objects(scene: Scene) -> tuple[SceneObject, ...]:
     """Objects with a class and a box, of visible members.
 
-    Actors first, then vehicles, people and traffic lights of the built-in street.
+    Actors first, then vehicles, people and traffic lights of a built-in scene.
     """
-    actors = [_of_actor(actor) for actor in scene.actors if actor.visible]
-    standing = [layer for layer in scene.layers if layer.name in OBJECT_LAYERS and layer.visible]
-    if scene.name not in STREETS or not standing:
-        return tuple(actors)
-    boxes = street_boxes(STREETS[scene.name])
-    for layer in standing:
-        actors += _of_layer(layer, [box for box in boxes if box.layer == layer.name])
-    return tuple(actors)
+    objects = [_of_actor(actor) for actor in scene.actors if actor.visible]
+    built_in = built_in_scene(scene.name)
+    boxes = [] if built_in is None else built_in.boxes()
+    for layer in scene.layers:
+        own = [box for box in boxes if box.layer == layer.name]
+        if own and layer.visible:
+            objects += _of_layer(layer, own)
+    return tuple(objects)
 
 
 def _of_actor(actor: Actor) -> SceneObject:
@@ -54,15 +53,15 @@ def _of_actor(actor: Actor) -> SceneObject:
     return SceneObject(actor.id, actor.class_name, actor.size_lwh, actor.track, actor.key, _drawn_rows(actor, rows))
 
 
-def _of_layer(layer: Layer, boxes: Iterable[StreetBox]) -> list[SceneObject]:
-    """Assign a layer's Gaussians to boxes; empty if most are in none, as the layer is then another street."""
+def _of_layer(layer: Layer, boxes: Iterable[SceneBox]) -> list[SceneObject]:
+    """Assign a layer's Gaussians to boxes; empty if most are in none, as the layer is then another scene's."""
     means = layer.gaussians.means.astype(np.float64)
     objects: list[SceneObject] = []
     for box in boxes:
-        rotation, origin = box.to_street[:3, :3], box.to_street[:3, 3]
+        rotation, origin = box.to_layer[:3, :3], box.to_layer[:3, 3]
         near = np.flatnonzero(np.abs(means[:, :2] - origin[:2]).max(axis=1) < max(box.size_lwh))
         rows = near[_inside((means[near] - origin) @ rotation, box.size_lwh)]
-        track = PoseTrack.standing(layer.to_scene @ box.to_street)
+        track = PoseTrack.standing(layer.to_scene @ box.to_layer)
         scale = float(np.cbrt(np.linalg.det(layer.to_scene[:3, :3])))
         length, width, height = (scale * side for side in box.size_lwh)
         objects.append(

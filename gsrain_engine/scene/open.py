@@ -1,20 +1,22 @@
-"""Scene loading by name: a file, a folder, the built-in street, or a random scene."""
+"""Scene loading by name: a file, a folder, a built-in scene, or a random one."""
 
 import hashlib
 import logging
 import re
 import shutil
 from dataclasses import replace
+from inspect import getsource
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import platformdirs
 from jaxtyping import Int64
 
+from ..plugins import ExtensionError
 from ..safe_io.errors import SceneFormatError
 from ..safe_io.limits import file_sha256
 from . import lod_order, lod_tree
+from .built_in import DEFAULT_SCENE, BuiltInScene, built_in_names, built_in_scene
 from .camera import Camera
 from .flags import UNMARKED, SelectionFlags
 from .formats.hugsim import hugsim_files, is_hugsim_folder
@@ -24,11 +26,8 @@ from .gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
 from .lod_order import sort_into_lod_order
 from .lod_tree import MIN_GAUSSIANS, build_lod_tree
 from .scene import Layer, Scene, take_gaussians
-from .street import build
-from .street.layout import STREETS
 
 logger = logging.getLogger("gsrain")
-STREET = "street"
 _MIN_FOR_TREE = 4096  # number of Gaussians of a member below which a tree saves nothing
 
 
@@ -36,17 +35,17 @@ def load_scene(name: Path | str | None, known: FileCache | None = None) -> Scene
     """Load a scene. None loads the built-in street, as does "street" unless a scene of that name exists.
 
     "street:overcast" is the same street under clouds, "street:night" by night, "street:dusk" at dusk behind a truck;
-    "street:long" is one of 1.2 km with about 5 million Gaussians.
+    "street:long" is one of 1.2 km with about 5 million Gaussians. Installed packages may add scenes.
 
     Records in `known` which Gaussians the files of a scene folder hold. Raises `SceneFormatError` for unreadable files.
     """
-    return load_street(name or STREET) if is_built_in_street(name) else read_scene(Path(str(name)), known)
+    return load_built_in(name or DEFAULT_SCENE) if is_built_in(name) else read_scene(Path(str(name)), known)
 
 
 def load_sorted_scene(name: Path | str | None, known: FileCache | None = None) -> Scene:
     """Load a scene as `load_scene` does, and sort the Gaussians of each layer into LOD order."""
     scene = load_scene(name, known)
-    if is_built_in_street(name):  # the cached street is already in that order
+    if is_built_in(name):  # a cached one is already in that order
         return scene
     folder = folder_to_read(Path(str(name)))
     if folder is not None and is_in_drawing_order(folder):
@@ -83,33 +82,36 @@ def folder_to_read(path: Path) -> Path | None:
     return scene_folder_of(path) or scene_folder_of(path / INNER_SCENE)
 
 
-def load_street(name: Path | str = STREET) -> Scene:
-    """Load a built-in street, which is built once and then read from the cache folder."""
+def load_built_in(name: Path | str = DEFAULT_SCENE) -> Scene:
+    """Load a built-in scene, which is built once and then read from the cache folder.
+
+    Raises `SceneFormatError` if there is none of this name, or its package can't be used.
+    """
     cache = Path(platformdirs.user_cache_dir("gsrain", appauthor=False))
-    folder = cache / f"{str(name).replace(':', '-')}-{street_fingerprint(name)}"
+    folder = cache / f"{str(name).replace(':', '-')}-{_built_in_hash(str(name))}"
     if folder.is_dir():
         try:
             return read_scene(folder)
         except SceneFormatError as error:
-            logger.warning("The cached street is damaged and is built again: %s", error)
+            logger.warning("The cached scene is damaged and is built again: %s", error)
             shutil.rmtree(folder, ignore_errors=True)
-    scene = _put_into_order(build.build_street(STREETS[str(name)]))
+    scene = _put_into_order(_built_in(str(name)).build())
     if scene.gaussian_count >= MIN_GAUSSIANS:
         scene = with_lod_trees(scene)
     try:
         write_scene(scene, folder, in_drawing_order=True)
     except (SceneFormatError, OSError) as error:
-        logger.warning("The street can't be kept for the next start: %s", error)
+        logger.warning("The scene can't be kept for the next start: %s", error)
         return scene
     return read_scene(folder)  # read back, so that the first run uses exactly the numbers of every later one
 
 
-def is_built_in_street(name: Path | str | None) -> bool:
-    """Return whether a name selects the built-in street.
+def is_built_in(name: Path | str | None) -> bool:
+    """Return whether a name selects a built-in scene; None selects the default one.
 
     A folder of that name that is no scene, such as the output of `gsrain street street`, does not override it.
     """
-    if name is None or str(name) not in STREETS:
+    if name is None or str(name) not in built_in_names():
         return name is None
     path = Path(name)
     return not (path.is_file() or scene_folder_of(path) is not None or is_foreign_scene_folder(path))
@@ -147,15 +149,22 @@ def with_lod_trees(scene: Scene) -> Scene:
     return scene
 
 
-def street_fingerprint(name: Path | str = STREET) -> str:
-    """Hash of a built-in street's parameters and source, which identifies its version."""
-    digest = hashlib.sha256(msgspec.json.encode(STREETS[str(name)]))
-    for source in (
-        Path(lod_order.__file__),
-        Path(lod_tree.__file__),
-        *sorted(each for each in Path(build.__file__).parent.iterdir() if each.suffix in (".py", ".npz")),
-    ):
-        digest.update(source.read_bytes())
+def _built_in(name: str) -> BuiltInScene:
+    """Return a built-in scene. Raises `SceneFormatError` if there is none, or its package can't be used."""
+    try:
+        found = built_in_scene(name)
+    except ExtensionError as error:
+        raise SceneFormatError(name, str(error)) from error
+    if found is None:
+        raise SceneFormatError(name, "no built-in scene has this name here: name a file or a folder")
+    return found
+
+
+def _built_in_hash(name: str) -> str:
+    """Hash of all that a built-in scene in drawing order depends on."""
+    digest = hashlib.sha256(_built_in(name).fingerprint().encode())
+    for module in (lod_order, lod_tree):
+        digest.update(getsource(module).encode())
     return digest.hexdigest()[:_HASH_DIGITS]
 
 
@@ -168,11 +177,11 @@ _HASH_DIGITS = 16
 def scene_hash(name: str | None) -> str:
     """Hash (16 hex digits) of a scene by the name that `load_scene` takes.
 
-    It covers the bytes of its files, or the source of the built-in street. Raises `SceneFormatError` if it does not
+    It covers the bytes of its files, or the source of a built-in scene. Raises `SceneFormatError` if it does not
     exist.
     """
-    if is_built_in_street(name):
-        return street_fingerprint(name or STREET)
+    if is_built_in(name):
+        return _built_in_hash(name or DEFAULT_SCENE)
     path = Path(str(name))
     folder = folder_to_read(path) or (path if is_hugsim_folder(path) else None)
     if folder is None:

@@ -20,11 +20,12 @@ from ..rain.calibration import calibration_names
 from ..safe_io.errors import convert_checked
 from ..safe_io.files import whole_file
 from ..safe_io.text_files import printable_line, read_whole, yaml_values
-from ..scene.open import STREET
+from ..scene.built_in import DEFAULT_SCENE
+from ..scene.models import model_names
 from ..scene.sensor import sensor_names
 from .interop.hugsim_scenario import hugsim_scenario, is_hugsim_scenario
 from .scenario import Scenario, ScenarioUser
-from .traffic.appearance import ACTOR, vehicle_names
+from .traffic.appearance import ACTOR
 from .traffic.tracks import Replay
 
 _FOLDER = "scenarios"
@@ -128,10 +129,10 @@ def _renamed(scenario: Scenario, rename: Callable[[str], str]) -> Scenario:
         rain = msgspec.structs.replace(rain, lamps=rename(rain.lamps))
     for user in scenario.road_users:
         model, behaviour = user.model, user.behaviour
-        if model.split("/")[0] not in vehicle_names() and not model.startswith(ACTOR):
+        if model.split("/")[0] not in model_names() and not model.startswith(ACTOR):
             model = rename(model)
         if isinstance(behaviour, Replay):
             behaviour = msgspec.structs.replace(behaviour, rollout=rename(behaviour.rollout))
         users.append(msgspec.structs.replace(user, model=model, behaviour=behaviour))
-    scene = scene if scene == STREET else rename(scene)
+    scene = scene if scene == DEFAULT_SCENE else rename(scene)
     return msgspec.structs.replace(scenario, scene=scene, rain=rain, road_users=tuple(users))

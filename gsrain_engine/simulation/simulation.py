@@ -18,7 +18,8 @@ from ..render.export_settings import Lod
 from ..render.level_of_detail import lod_cut
 from ..render.provenance import PictureProvenance
 from ..render.renderer import Renderer
-from ..scene.open import STREET, with_lod_trees
+from ..scene.built_in import DEFAULT_SCENE
+from ..scene.open import with_lod_trees
 from ..scene.scene import Actor, PoseTrack, Scene
 from .agents import base
 from .agents.base import Agent, CameraView, Observation, SensorRequirements, Trajectory
@@ -59,7 +60,7 @@ class Simulation:
         scenario of the built-in street in another scene logs a warning. Raises ValueError if the scene lacks a drive, a
         rig or a model that the scenario needs.
         """
-        if scenario.scene == STREET != scene.name:
+        if scenario.scene == DEFAULT_SCENE != scene.name:
             logger.warning("scenario %s is made for the built-in street, and is driven in scene %r", scenario.name,
                            scene.name)  # fmt: skip
         if needs.cameras and renderer is None:

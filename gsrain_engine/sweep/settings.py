@@ -17,7 +17,7 @@ from ..rain.settings import HEAVIEST_MM_H, RainSettings, load_preset
 from ..rain.wetness import with_wet_choice
 from ..render.export_settings import ExportSettings
 from ..safe_io.errors import convert_checked
-from ..scene.open import STREET
+from ..scene.built_in import DEFAULT_SCENE
 from ..scene.sensor import load_sensor, sensor_names
 from ..settings import Settings
 from ..simulation.agents.registry import HUGSIM, agent_names
@@ -296,7 +296,7 @@ def load_sweep(name: str | Path) -> Sweep:
     """
     known = {
         HUGSIM,
-        STREET,
+        DEFAULT_SCENE,
         *shipped_config_names("rain"),
         *scenario_names(),
         *agent_names(),

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, Shaped
 from numba import njit, prange
 
+from ..kernels import NOGIL
 from ..render.gsplat_input import uploaded
 from ..scene.gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
 
@@ -203,7 +204,7 @@ FIRST_DECAY, SECOND_DECAY, EPSILON = 0.9, 0.999, 1e-15
 _CHUNK = 4096
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit(cache=True, nogil=NOGIL, parallel=True, error_model="numpy")
 @no_type_check
 def adam_step(values, gradients, first, second, rows, rate, first_share, second_share):
     """Update `values` (n, c) and their moments in place; rows are independent.

@@ -11,8 +11,8 @@ import pytest
 import ui.window
 from app.main import run
 from gsrain_engine.rain.settings import load_preset
+from gsrain_engine.scene.built_in import built_in_names
 from gsrain_engine.scene.formats.scene_files import write_scene
-from gsrain_engine.scene.street.layout import STREETS
 from repository import REPOSITORY
 from small_scene import small_scene
 
@@ -60,10 +60,10 @@ def test_make_demo_records_the_same_scene_without_a_display(tmp_path):
         assert sum(1 for _ in video.decode(video=0)) == 2
 
 
-@pytest.mark.parametrize("scene", [*STREETS, "scene.ply", "scenes/render", "rendr"])
+@pytest.mark.parametrize("scene", [*built_in_names(), "scene.ply", "scenes/render", "rendr"])
 def test_a_word_that_is_a_scene_is_never_a_misspelled_command(scene, opened, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    if scene not in STREETS:
+    if scene not in built_in_names():
         write_scene(small_scene(), scene)
     orders = [["--no-wet", scene], [scene, "--no-wet"]]
     orders = orders[: 1 if scene == "street" else 2]  # a first word "street" is the command

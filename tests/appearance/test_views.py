@@ -23,9 +23,9 @@ from gsrain_engine.datasets.capture import EGO_HEIGHT_M, Capture, CaptureFrame
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.camera_path import CameraPath
+from gsrain_engine.scene.labels import Label
 from gsrain_engine.scene.lens import Lens
 from gsrain_engine.scene.scene import Scene
-from gsrain_engine.scene.street.layout import Label
 from rasterized import rasterize
 from tests.training.drive_capture import HEIGHT, ROAD_Z, WIDTH, box, drive_capture, world_depth
 from tests.training.small_street import FORWARD, LEFT, small_street, still_track

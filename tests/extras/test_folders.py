@@ -21,7 +21,7 @@ def test_no_code_but_its_own_names_a_folder(folder):
     own = EXTRAS / folder, REPOSITORY / "tests" / "extras" / folder
     code = [
         path
-        for root in ("app", "ui", "gsrain", "gsrain_engine", "gsrain_extras", "tests", "examples", "benchmarks", "docs")
+        for root in ("app", "ui", "gsrain", "gsrain_engine", "gsrain_extras", "tests", "examples", "docs")
         for path in (REPOSITORY / root).rglob("*.py")
         if not any(each in path.parents for each in own)
     ]

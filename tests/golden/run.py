@@ -68,7 +68,9 @@ def _environment(tree: Path, temporary: Path) -> dict[str, str]:
     own = {f"XDG_{each}_HOME": str(temporary / "home" / each.lower()) for each in ("CACHE", "CONFIG", "DATA", "STATE")}
     left_out = "GSRAIN_", "NUMBA_CACHE", "PYTHONDONTWRITE"  # without kept bytecode each start takes seconds
     passed = {key: value for key, value in os.environ.items() if not key.startswith(left_out)}
-    return passed | own | {"PYTHONPATH": str(tree), "NO_COLOR": "1", "COLUMNS": "120"}
+    metadata = temporary / "metadata"
+    subprocess.run([sys.executable, REPOSITORY / "packaging" / "metadata.py", metadata, tree], check=True)
+    return passed | own | {"PYTHONPATH": f"{metadata}{os.pathsep}{tree}", "NO_COLOR": "1", "COLUMNS": "120"}
 
 
 def _run_chain(chain: Chain, folder: Path, environment: dict[str, str]) -> dict[str, str]:

@@ -1,22 +1,19 @@
-"""Commands of README and the guide, as printed and in order, in a folder with the files that the pages assume.
+"""Commands of README and the guide, as printed and in order, by an installed program, with the files that they assume.
 
 Options that the pages describe make them small. Each leaves what its text promises.
 """
 
 import json
-import os
 import re
-import shlex
-from contextlib import redirect_stderr, redirect_stdout
+import subprocess
+import sys
 from dataclasses import replace
-from io import StringIO
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from app.main import run
 from gsrain_engine.render.video import read_video
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.camera_path import CameraPath
@@ -95,21 +92,35 @@ def place(tmp_path_factory):
     return folder
 
 
+RUN = """
+import json, shlex, sys
+from contextlib import redirect_stderr, redirect_stdout
+from io import StringIO
+import app
+from app.main import run
+
+results = []
+for command in json.load(sys.stdin):
+    said = StringIO()
+    with redirect_stdout(said), redirect_stderr(said):
+        code = run(shlex.split(command)[1:])
+    results.append((code, said.getvalue()))
+json.dump({"program": app.__file__, "results": results}, sys.stdout)
+"""
+
+
 @pytest.fixture(scope="module")
-def results(place):
-    """Exit code and words of each step."""
-    found = {}
-    before = Path.cwd()
-    os.chdir(place)
-    try:
-        for page, command in STEPS:
-            said = StringIO()
-            with redirect_stdout(said), redirect_stderr(said):
-                code = run([*shlex.split(command)[1:], *shlex.split(SMALL[page][command])])
-            found[page, command] = code, said.getvalue()
-    finally:
-        os.chdir(before)
-    return found
+def results(installed, place):
+    """Exit code and words of each step, in one process of the installed program."""
+    site, environment = installed
+    commands = [f"{command} {SMALL[page][command]}" for page, command in STEPS]
+    ended = subprocess.run(
+        [sys.executable, "-P", "-c", RUN], input=json.dumps(commands), cwd=place, env=environment, text=True,
+        stdout=subprocess.PIPE, check=True,
+    )  # fmt: skip
+    found = json.loads(ended.stdout)
+    assert Path(found["program"]).is_relative_to(site)
+    return dict(zip(STEPS, found["results"], strict=True))
 
 
 @pytest.mark.parametrize(("page", "command"), STEPS)

@@ -7,7 +7,7 @@ import pytest
 
 from gsrain_engine.scene.find_lamps import find_lamps
 from gsrain_engine.scene.lamp_choice import lamp_choice
-from gsrain_engine.scene.open import load_street
+from gsrain_engine.scene.open import load_built_in
 from gsrain_engine.scene.scene import Actor, Layer, PoseTrack, Scene
 from gsrain_engine.scene.transforms import with_wetness_baked
 from night_scene import COLOR, INTENSITY_M2, LANTERN_M, bulb, cluster, in_half_meters, night_scene
@@ -66,7 +66,7 @@ def test_lamps_of_actors_follow_their_tracks() -> None:
 
 
 def test_there_are_none_by_day() -> None:
-    street = load_street()
+    street = load_built_in()
     overcast = with_wetness_baked(street, 1.0)
     assert find_lamps(street) == find_lamps(overcast) == find_lamps(small_scene()) == find_lamps(Scene("")) == ()
     lit = replace(small_scene(), layers=(*small_scene().layers, Layer("lamp", bulb(LANTERN_M))))
@@ -76,7 +76,7 @@ def test_there_are_none_by_day() -> None:
 
 
 def test_the_lanterns_of_the_street_by_night_are_found() -> None:
-    street = load_street("street:night")
+    street = load_built_in("street:night")
     found = find_lamps(street)
     lanterns = [lamp for lamp in street.lamps if lamp.name.startswith("lantern")]
     others = [each for each in found if each.mount == "scene"]

@@ -1,4 +1,4 @@
-"""Scenes: tracks and parts, one set of Gaussians of a whole, cameras, things with boxes, names, and progress."""
+"""Scenes: tracks and parts, one set of Gaussians of a whole, cameras and classes."""
 
 import json
 from dataclasses import replace
@@ -11,19 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from boxy_scene import boxy_scene
 from gsrain_engine.safe_io.errors import SceneFormatError
 from gsrain_engine.scene.camera import Camera, look_at, read_camera
-from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.objects import COCO_CATEGORIES, scene_objects
-from gsrain_engine.scene.open import is_built_in_street, load_scene, load_street
+from gsrain_engine.scene.objects import COCO_CATEGORIES
 from gsrain_engine.scene.scene import Actor, Layer, PoseTrack, Scene
-from gsrain_engine.scene.street.build import OBJECT_LAYERS
-from gsrain_engine.scene.street.layout import StreetParameters, plan_street
-from gsrain_engine.scene.street.signals import signal_heads
 from gsrain_engine.scene.transforms import FILE_UP, flatten_scene, transform_gaussians
-from small_scene import small_scene
 
 from .formats.sample_files import sample_gaussians
 from .test_gaussians import covariances
@@ -156,65 +149,10 @@ def test_camera_files_come_back_and_bad_ones_are_named(tmp_path: Path, change: d
         read_camera(file)
 
 
-# Things with a class and a box
-
-
-def test_objects_of_the_street_are_its_lead_car_its_vehicles_people_and_traffic_lights() -> None:
-    street, layout = load_street(), plan_street(StreetParameters())
-    objects = scene_objects(street)
-    vehicles = [(f"parked-{k:02d}", "car", each) for k, each in enumerate(layout.cars)]
-    vehicles += [(f"truck-{k:02d}", "truck", each) for k, each in enumerate(layout.trucks)]
-    vehicles += [(f"bus-{k:02d}", "bus", each) for k, each in enumerate(layout.buses)]
-    people = [*layout.pedestrians, *layout.cyclists]
-    vehicles += [(f"person-{k:02d}", "person", each) for k, each in enumerate(people)]
-    vehicles += [(f"bicycle-{k:02d}", "bicycle", each) for k, each in enumerate(layout.cyclists)]
-    vehicles += [(f"traffic-light-{k:02d}", "traffic light", each) for k, each in enumerate(signal_heads(layout))]
-    assert [(each.id, each.class_name) for each in objects[1:]] == [row[:2] for row in vehicles]
-    assert len(layout.buses) == 1 and len(people) >= 7 and len(layout.cyclists) == 1
-    for each, (_, _, vehicle) in zip(objects[1:], vehicles, strict=True):
-        middle = street.member(each.member).gaussians.means[each.rows][:, :2].mean(axis=0)
-        np.testing.assert_allclose(middle, (vehicle.x, vehicle.y), atol=1.2)
-        np.testing.assert_allclose(each.track.pose(3.0)[:2, 3], (vehicle.x, vehicle.y))
-    for name in OBJECT_LAYERS:
-        rows = np.concatenate([each.rows for each in objects if each.member == f"layers/{name}"])
-        assert len(np.unique(rows)) > 0.98 * len(street.member(f"layers/{name}").gaussians)
-        assert len(np.unique(rows)) == len(rows) or name in ("pedestrians", "traffic lights")  # some stand close
-    lead = street.actors[0].gaussians
-    shadow = np.delete(np.arange(len(lead)), objects[0].rows)
-    assert objects[0].id == "lead" and len(shadow) > 100
-    np.testing.assert_allclose(lead.means[shadow, 2], 0.06, atol=1e-3)
-    assert lead.opacities[shadow].max() < 0.6 and lead.opacities[objects[0].rows].min() > 0.5
-    cars = street.member("layers/parked cars")
-    moved = replace(cars.gaussians, means=cars.gaussians.means + np.float32([3, 0, 0]))
-    elsewhere = street.with_member(cars.key, gaussians=moved)  # of another street
-    assert {each.member for each in scene_objects(elsewhere)} == {each.member for each in objects} - {cars.key}
-    assert len(scene_objects(replace(street, name="mine"))) == 1
-    hidden = street
-    for name in OBJECT_LAYERS:
-        hidden = hidden.with_member(f"layers/{name}", visible=False)
-    assert len(scene_objects(hidden)) == 1
-    assert len(scene_objects(boxy_scene().with_member("actors/far", visible=False))) == 1
+# Classes
 
 
 def test_category_ids_are_those_of_coco_2017() -> None:
     known = {"person": 1, "car": 3, "truck": 8, "stop sign": 13, "umbrella": 28, "skis": 35, "dining table": 67}
     assert {name: COCO_CATEGORIES[name] for name in known} == known
     assert (len(COCO_CATEGORIES), COCO_CATEGORIES["tv"], COCO_CATEGORIES["toothbrush"]) == (80, 72, 90)
-
-
-# Names
-
-
-def test_the_street_is_built_in_unless_a_scene_is_called_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert is_built_in_street(None) and is_built_in_street("street") and not is_built_in_street("road")
-    write_scene(small_scene("own"), tmp_path / "street" / "scene")  # as the command `street` writes it
-    (tmp_path / "street" / "meta.json").write_text("{}")  # none of SOG
-    assert is_built_in_street("street") and not is_built_in_street("street/scene")
-    for name in ("meta.json", "scene.json"):
-        (tmp_path / "street" / name).write_text('{"means": {}}')
-        assert not is_built_in_street("street")
-        (tmp_path / "street" / name).unlink()
-    (tmp_path / "street").rename(tmp_path / "other")
-    write_scene(small_scene("own"), tmp_path / "street")
-    assert not is_built_in_street("street") and load_scene("street").name == "own"

@@ -6,8 +6,8 @@ import msgspec
 import numpy as np
 
 from gsrain_engine.scene.gaussians import Gaussians
+from gsrain_engine.scene.rigs import driving_rigs
 from gsrain_engine.scene.scene import Actor, PoseTrack, Scene
-from gsrain_engine.scene.street.build import street_rigs
 from gsrain_engine.simulation.agents.base import SensorRequirements, Trajectory
 from gsrain_engine.simulation.scenario import Scenario
 from gsrain_engine.simulation.simulation import Simulation, drive
@@ -95,5 +95,5 @@ def driven(fields, scene, agent=None, **options):
 def longer_scene():
     """The small scene with a recorded drive of 30 m, and a front and a back camera of nuScenes'."""
     ego = track(np.arange(6.0), [(6 * second, 0, 1.5) for second in range(6)])
-    two = tuple(each for each in street_rigs()["nuscenes"] if each.name in ("CAM_FRONT", "CAM_BACK"))
+    two = tuple(each for each in driving_rigs()["nuscenes"] if each.name in ("CAM_FRONT", "CAM_BACK"))
     return replace(small_scene(), ego=ego, rigs={"nuscenes": two})

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
-from gsrain_engine.scene.open import load_street
 from gsrain_engine.scene.scene import Layer, Scene
-from gsrain_engine.scene.street.layout import StreetParameters, plan_street
 from gsrain_engine.simulation.geometry import PlanarBox
 from gsrain_engine.simulation.ground import SENSOR_HEIGHT_M, road_surface_of
 from gsrain_engine.simulation.obstacles import drivable_of, occupied_space_of
@@ -111,28 +109,3 @@ def test_without_a_road_layer_flat_ground_is_road_and_nothing_is_without_a_scene
         assert drivable.share_on_road(car_at(25.0, 12.0)).max() == 0.0
         share = drivable.share_on_road(car_at(25.0, 0.0))
         assert share.max() == 0.0 if low is None else share.min() > low
-
-
-def test_the_streets_lanes_are_free_and_drivable_and_everything_that_stands_on_it_is_hit():
-    street = load_street()
-    space = occupied(street)
-    layout = plan_street(StreetParameters())
-    for time_s in np.arange(0.0, 12.01, 0.05):
-        pose = street.ego_to_world(float(time_s))
-        assert not space.touches(car_at(pose[0, 3] + 1.3, pose[1, 3])), time_s
-    pavement = layout.parameters.curb_y_m + 1.9
-    free = [not space.touches(PlanarBox(float(x), pavement, 0.0, 1.0, 1.0)) for x in np.arange(0.0, 120.0)]
-    assert np.mean(free) > 0.95
-    for each in (*layout.cars, *layout.trucks):
-        assert space.touches(PlanarBox(each.x, each.y - 1.2 * np.sign(each.y), 0.0, 4.0, 1.0)), each
-    for each in (*layout.trees, *layout.lamps):
-        x, y = (each.x, each.y) if hasattr(each, "x") else each[:2]
-        assert space.touches(PlanarBox(x, y, 0.0, 0.6, 0.6)), each
-    fronts = layout.parameters.front_y_m
-    assert all(space.touches(PlanarBox(x, s * fronts, 0.0, 4.0, 1.0)) for x in range(0, 120, 5) for s in (-1, 1))
-    drivable, curb = drivable_of(street, road_surface_of(street), space), layout.parameters.curb_y_m
-    np.testing.assert_array_equal(drivable.share_on_road(car_at(30.0, -1.7)), np.ones((2, 2)))
-    np.testing.assert_array_equal(drivable.share_on_road(car_at(30.0, -curb - 1.5)), np.zeros((2, 2)))
-    half, turned = (drivable.share_on_road(car_at(30.0, -curb, yaw)) for yaw in (0.0, np.pi / 2))
-    assert (half[:, 0] > 0.9).all() and (half[:, 1] < 0.25).all()
-    assert (turned[0] > 0.9).all() and (turned[1] < 0.25).all()

@@ -9,7 +9,7 @@ import pytest
 from gsrain_engine.backends import open_renderer
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.render.draw import draw
-from gsrain_engine.scene.open import load_street
+from gsrain_engine.scene.open import load_built_in
 from gsrain_engine.simulation import sensors
 from gsrain_engine.simulation.agents.base import SensorRequirements
 from gsrain_engine.simulation.playback import RolloutPlayback
@@ -66,7 +66,7 @@ def test_cameras_of_a_drive_draw_the_cut_of_large_scenes_except_with_depth(monke
 
 
 def test_every_layer_of_the_street_and_every_actor_has_a_class():
-    street = load_street()
+    street = load_built_in()
     ids = dict(zip(("nothing", *(each.name for each in street.members)), semantic_ids(street).tolist(), strict=True))
     assert UNKNOWN not in ids.values()
     named = {"nothing": 10, "road": 0, "pavements": 1, "houses": 2, "trees": 8, "sky": 10, "lead": 13}

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from gsrain_engine.backends import open_renderer
-from gsrain_engine.scene.open import load_street
+from gsrain_engine.scene.open import load_built_in
 from gsrain_engine.simulation.agents.base import SensorRequirements, Trajectory
 from gsrain_engine.simulation.rollout import BACKGROUND
 from gsrain_engine.simulation.rollout_io import read_rollout, write_rollout
@@ -19,7 +19,7 @@ from small_scene import small_scene
 
 @pytest.fixture(scope="module")
 def street():
-    return load_street()
+    return load_built_in()
 
 
 @pytest.mark.parametrize(

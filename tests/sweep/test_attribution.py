@@ -16,6 +16,8 @@ from gsrain_engine.sweep.results import FINISHED, SweepFolder
 from gsrain_engine.sweep.run import run_sweep
 from sweep.small_sweep import sweep_of, write_road, write_scenario
 
+pytestmark = pytest.mark.street
+
 ALL = ["all"]
 
 

@@ -19,6 +19,8 @@ from gsrain_engine.sweep.settings import load_sweep
 from .other_works import die_of_one
 from .small_sweep import small_jobs, sweep_of, write_road, write_scenario
 
+pytestmark = pytest.mark.street
+
 
 def test_a_job_that_kills_every_worker_fails_and_the_others_are_done(tmp_path):
     jobs = small_jobs(tmp_path, intensities_mm_h=[0])

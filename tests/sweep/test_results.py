@@ -25,6 +25,8 @@ from gsrain_engine.sweep.worker import JobResult, run_job, worker_cache
 from .other_works import answer
 from .small_sweep import small_jobs, sweep_of, write_road, write_scenario
 
+pytestmark = pytest.mark.street
+
 
 @pytest.fixture
 def folder(tmp_path):

@@ -19,6 +19,8 @@ from gsrain_engine.trusted_code import UntrustedCodeError, command_code, trust
 
 from .small_sweep import small_jobs, sweep_of, write_road, write_scenario
 
+pytestmark = pytest.mark.street
+
 CLIENT = Path(__file__).parents[1] / "simulation" / "interop" / "client.py"
 
 

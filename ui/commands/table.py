@@ -556,10 +556,6 @@ SHELL_COMMANDS = {
     "info": ("app.scene:info", "Print the contents of a scene, a capture or a disdrometer file, and check captures."),
     "convert": ("app.scene:convert", "Convert between scene formats."),
     "edit": ("app.edit:edit", "Edit a scene as the window does: by the steps that its History copies, or others."),
-    "street": (
-        "app.scene:street",
-        "Write the built-in street as a scene, and as images with depth, normals and labels.",
-    ),
     "export-rain": (
         "app.export_rain:export_rain",
         "Write the rain for other programs: its Gaussians (.ply), or a rainy copy of a recording.",

@@ -7,20 +7,18 @@ import numpy as np
 from jaxtyping import Float64
 
 from ...scene.gaussians import Gaussians, sh_from_color
-from ...scene.lamps import Lamp, lit_lamps
-from ...scene.scene import Layer, Scene, SceneCore, ahead_of
-from ...scene.street.build import quads_to_gaussians
-from ...scene.street.layout import StreetParameters
-from ...scene.street.lighting import NIGHT, Illumination
-from ...scene.street.mesh import Quads
-from ...scene.street.night import (
+from ...scene.lamps import (
     LANTERN_COLOR,
     LANTERN_HEIGHT_M,
     LANTERN_INNER_DEG,
     LANTERN_M2,
     LANTERN_OUTER_DEG,
-    lantern_at_origin,
+    Lamp,
+    lit_lamps,
 )
+from ...scene.models import lantern_bodies
+from ...scene.scene import Layer, Scene, SceneCore, ahead_of
+from ...scene.skies import NIGHT
 from ...scene.vehicle_lamps import VehicleLamps
 from ..wet_look.ground_plane import GroundHeights
 
@@ -66,10 +64,8 @@ def default_lamps(
                 intensity_m2=LANTERN_M2, inner_deg=LANTERN_INNER_DEG, outer_deg=LANTERN_OUTER_DEG,
             )
         )  # fmt: skip
-    one = lantern_at_origin()
-    quads = Quads.joined([one.placed(place, turn) for place, turn in zip(places, turns_deg, strict=True)])
-    gaussians = quads_to_gaussians(quads, Illumination.over(StreetParameters(), None, NIGHT))
-    bodies = Layer("lanterns", replace(gaussians, antialiased=False), to_scene=to_scene)
+    built = lantern_bodies(places, turns_deg)
+    bodies = None if built is None else Layer("lanterns", replace(built, antialiased=False), to_scene=to_scene)
     others = [lamp for lamp in VehicleLamps(mount="vehicles").of(scene) if lamp.mount != "ego"]
     return (*found, *others), bodies
 

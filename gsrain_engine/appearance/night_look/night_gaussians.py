@@ -14,11 +14,10 @@ from scipy.spatial import KDTree
 from ...scene.find_lamps import is_dark
 from ...scene.gaussians import SH_C0, Gaussians, sh_from_color
 from ...scene.geometry import LUMINANCE, matrices_from_quaternions, quaternions_from_matrices, srgb_to_linear
-from ...scene.lamps import Lamp, lit_lamps
+from ...scene.lamps import LAMP_REACH_M, Lamp, facing_share, lit_lamps
 from ...scene.progress import Progress, subprogress
 from ...scene.scene import Actor, Layer, Scene, SceneCore, core_bounds, is_sky
-from ...scene.street.lighting import NIGHT, overcast_share
-from ...scene.street.night import LAMP_REACH_M, facing_share
+from ...scene.skies import NIGHT, overcast_share
 from ..wet_look.gaussian_surfaces import (
     BLOCK,
     Colors,

@@ -8,9 +8,8 @@ import scipy
 from jaxtyping import Float64, Int64
 
 from ...scene.geometry import matrices_from_quaternions, srgb_to_linear
-from ...scene.lamps import Lamp
+from ...scene.lamps import SIGNAL_M2, Lamp
 from ...scene.scene import Actor, Layer, Scene
-from ...scene.street.signals import SIGNAL_M2
 from ..wet_look.gaussian_surfaces import GaussianSurfaces
 from ..wet_look.materials import lamp_share
 

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Int64
 from numba import njit
 
+from ...kernels import NOGIL
 from ...safe_io.text_files import printable_line
 from ..capture import CaptureError
 from .arrays import read_bytes
@@ -63,7 +64,7 @@ def _lengths() -> Int64[np.ndarray, "256"]:
 _LENGTHS = _lengths()
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=NOGIL)
 @no_type_check
 def _walk(content, lengths):
     """Position of the first instruction that is invalid or claims too much memory; -1 if there is none up to STOP.
@@ -108,7 +109,7 @@ def _walk(content, lengths):
     return size
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=NOGIL)
 @no_type_check
 def _number(content, at, width):
     """Little-endian number; negative if it exceeds any possible file size."""

@@ -11,7 +11,8 @@ from ...rain.settings import RainSettings
 from ...rain.wetness import OVERCAST_MM_H, SOFTENED_ABOVE_MM_H, wetness
 from ...render.passes import registry
 from ...render.passes.base import Factor
-from ...scene.open import is_built_in_street
+from ...scene.built_in import DEFAULT_SCENE, built_in_scene
+from ...scene.open import is_built_in
 from .shapley import Coalition, coalitions_of
 
 Friction = Literal["dry", "wet"]
@@ -45,10 +46,6 @@ def on_wet_ground() -> frozenset[str]:
     return frozenset(name for name, each in factors().items() if each.needs_wet_ground)
 
 
-_OVERCAST_TWINS = {None: "street:overcast", "street": "street:overcast"}
-"""Scenes by name of which another has the light of rain without its water."""
-
-
 def factor_names(*, of_drives: bool = True) -> tuple[str, ...]:
     """Names of all factors, or of those that pictures have."""
     return tuple(name for name in factors() if of_drives or name != FRICTION)
@@ -60,7 +57,8 @@ def title_of(name: str) -> str:
 
 def overcast_twin(scene: str | None) -> str | None:
     """Name of the scene that has the dry colors of another one under clouds; None if there is none."""
-    return _OVERCAST_TWINS.get(scene) if is_built_in_street(scene) else None
+    built_in = built_in_scene(scene or DEFAULT_SCENE) if is_built_in(scene) else None
+    return None if built_in is None else built_in.overcast_twin
 
 
 def is_attributed(names: Sequence[str]) -> bool:

@@ -17,8 +17,8 @@ from ...scene.gaussians import SH_C0, Gaussians
 from ...scene.geometry import linear_to_srgb, quaternions_from_matrices
 from ...scene.lamps import LitLamps
 from ...scene.lens import view_bounds
+from ...scene.noise import layered_noise, smooth_noise
 from ...scene.scene import DrawItem
-from ...scene.street.mesh import layered_noise, smooth_noise
 from ...scene.water_surface import WATER_INDEX, reflectance, unshadowed
 from ..frame_input import FrameInput
 from .base import FrameParts

@@ -18,8 +18,8 @@ from jaxtyping import Float64
 
 from ...safe_io.limits import ByteBudget, Deadline, InputError, TooLargeError, open_pipe, read_pipe, write_pipe
 from ...safe_io.text_files import printable_line
+from ...scene.rigs import driving_rigs
 from ...scene.scene import RigCamera, Scene
-from ...scene.street.build import street_rigs
 from ..agents.base import COMMANDS, CameraView, Observation, Rig, front_camera, lidar_to_rig
 from ..agents.http import ClientError, plan_points
 from ..scenario import Scenario
@@ -364,7 +364,7 @@ def six_hugsim_cameras(cameras: tuple[RigCamera, ...]) -> Mapping[str, RigCamera
             raise ValueError(
                 f"camera {each.name} is {each.width} x {each.height}: HUGSIM's clients take {WIDTH_PX} x {HEIGHT_PX}"
             )
-    nuscenes = {each.name: each for each in hugsim_rig(street_rigs()["nuscenes"])}
+    nuscenes = {each.name: each for each in hugsim_rig(driving_rigs()["nuscenes"])}
     shift = own[front].camera_to_ego[:3, 3] - nuscenes[front].camera_to_ego[:3, 3]
     return {name: own[name] if name in own else _moved(nuscenes[name], shift) for name in CAMERA_NAMES}
 

@@ -17,11 +17,10 @@ from gsrain_engine.editor.steps import EditStep, apply_steps, steps_since
 from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.scene.gaussians import SH_C0, Gaussians
 from gsrain_engine.scene.geometry import srgb_to_linear
-from gsrain_engine.scene.lamps import Lamp
+from gsrain_engine.scene.lamps import LANTERN_HEIGHT_M, Lamp
 from gsrain_engine.scene.open import load_scene
 from gsrain_engine.scene.progress import run_to_end
 from gsrain_engine.scene.scene import Layer, PoseTrack, Scene
-from gsrain_engine.scene.street.night import LANTERN_HEIGHT_M
 from training.small_street import flat_patch
 
 LAMP = Lamp(name="one", position=(5.0, 0.0, 6.0), color=(1.0, 0.5, 0.25), intensity_m2=200.0)
@@ -88,6 +87,7 @@ def test_level_ground_is_asphalt_under_the_lamp(yard, night):
     assert yard.layers[0].gaussians.means is g.means
 
 
+@pytest.mark.street
 def test_a_drive_gets_lanterns_at_its_right_and_an_object_two_lamps(yard):
     track = PoseTrack(np.array([0.0, 1.0]), np.array([[-9.0, 0, 1.5], [-4.0, 0, 1.5]]),
                       np.tile([1.0, 0, 0, 0], (2, 1)), np.ones(2, bool))  # fmt: skip

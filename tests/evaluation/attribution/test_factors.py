@@ -31,6 +31,7 @@ from small_scene import small_scene
 RAIN = RainSettings(intensity_mm_h=12.0, mirror=True, glass="lens", visibility_m=2000.0, spray=False)
 
 
+@pytest.mark.street
 def test_a_rain_has_the_factors_that_act_in_it():
     for rain, scene, expected in (
         (RAIN, "street", ("streaks", "medium", "light", "wet", "mirror", "splashes", "glass")),
@@ -53,6 +54,7 @@ def test_a_rain_has_the_factors_that_act_in_it():
     )  # fmt: skip
 
 
+@pytest.mark.street
 def test_coalitions_of_the_same_effect_are_evaluated_once():
     found = RainFactors.of(RAIN, ("streaks", "light", "wet", "mirror"), "street")
     assert len(found.coalitions) == 16 and set(found.coalitions.values()) == set(found.evaluated)

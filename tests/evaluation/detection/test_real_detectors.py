@@ -16,7 +16,7 @@ from gsrain_engine.render.draw import draw
 from gsrain_engine.render.frame_input import FrameInput
 from gsrain_engine.render.view import RenderView
 from gsrain_engine.scene.camera import Camera
-from gsrain_engine.scene.open import load_street
+from gsrain_engine.scene.open import load_built_in
 
 INT8 = 0.06
 """Confidences of whole-number weights differ so much between processors."""
@@ -77,7 +77,7 @@ VIEWS = {
 
 @pytest.mark.parametrize("name", ["yolo26n_int8", "yolox_nano"])
 def test_detectors_know_what_is_on_the_street(test_data: Path, name: str) -> None:
-    path, street, missed = test_data / "detectors" / f"{name}.onnx", load_street(), list[str]()
+    path, street, missed = test_data / "detectors" / f"{name}.onnx", load_built_in(), list[str]()
     if not path.is_file():
         pytest.skip(f"no detector at {path}")
     detector, renderer = open_detector(path), CpuRenderer()

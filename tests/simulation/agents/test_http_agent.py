@@ -14,7 +14,7 @@ import pytest
 
 from gsrain_engine.backends import open_renderer
 from gsrain_engine.scene.camera import Camera
-from gsrain_engine.scene.street.build import street_rigs
+from gsrain_engine.scene.rigs import driving_rigs
 from gsrain_engine.simulation.agents.base import CameraView, Observation, Rig
 from gsrain_engine.simulation.agents.http import ClientError, HttpAgent, HttpCalls, read_plan
 from gsrain_engine.simulation.agents.neuroncap import neuroncap_message
@@ -24,7 +24,7 @@ from gsrain_engine.simulation.simulation import Simulation, run_drive
 from gsrain_engine.simulation.vehicle import Vehicle, VehicleState
 from simulation.small_drive import longer_scene, scenario
 
-RIG = Rig(Vehicle(), street_rigs()["nuscenes"], 1.5)
+RIG = Rig(Vehicle(), driving_rigs()["nuscenes"], 1.5)
 
 
 def constant_speed(asked):

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gsrain_engine.scene.street.build import street_rigs
+from gsrain_engine.scene.rigs import driving_rigs
 from gsrain_engine.simulation.agents.base import Observation, Rig
 from gsrain_engine.simulation.agents.http import ClientError
 from gsrain_engine.simulation.geometry import Route
@@ -20,7 +20,7 @@ from simulation.small_drive import longer_scene, scenario
 
 angles, meters = st.floats(-3, 3), st.floats(-50, 50)
 ROUTE = Route(np.array([[0.0, 0.0], [100.0, 0.0]]))
-NUSCENES = street_rigs()["nuscenes"]
+NUSCENES = driving_rigs()["nuscenes"]
 HUGSIM_RIG = Rig(HUGSIM_VEHICLE, protocol.hugsim_rig(NUSCENES), 1.5)
 OWN_RIG = Rig(Vehicle(), NUSCENES, 1.5)
 SIX = protocol.six_hugsim_cameras(HUGSIM_RIG.cameras)
@@ -111,7 +111,7 @@ def test_nuscenes_rig_is_halved_and_moved_back_and_missing_cameras_are_known():
 
 
 def test_the_rig_is_the_named_one_or_has_the_largest_share_of_the_six_cameras():
-    scene = replace(longer_scene(), rigs={name: street_rigs()[name] for name in ("waymo_front3", "nuscenes")})
+    scene = replace(longer_scene(), rigs={name: driving_rigs()[name] for name in ("waymo_front3", "nuscenes")})
     for name, count in ((None, 6), ("waymo_front3", 3)):
         changed, given = protocol.with_hugsim_rig(scenario(rig=name), scene)
         assert (changed.vehicle, changed.rig, changed.picture_width_px) == (HUGSIM_VEHICLE, "hugsim", 800)
