@@ -449,15 +449,14 @@ def describe(extension: Extension) -> str:
     Raises `MissingPackageError` if it lacks a package, ValueError if it is unusable.
     """
     origin = f"{extension.place} of {extension.package} {extension.version}".rstrip()
+    loaded: object = None
     if extension.group in _KINDS:
         module, _, kind = _KINDS[extension.group].partition(":")
         loaded = extension.load(getattr(import_module(module), kind))
-        for package in getattr(loaded, "packages", ()):
-            require_package(package, origin)
     elif extension.group is plugins.SCENE_FORMATS:
         from gsrain_engine.scene.formats.registry import format_of
 
-        format_of(Path(f"scene.{extension.name}"))
+        loaded = format_of(Path(f"scene.{extension.name}"))
     elif extension.group is plugins.TRANSFERS:
         from gsrain_engine.appearance.registry import find_method
 
@@ -468,8 +467,10 @@ def describe(extension: Extension) -> str:
         decoder(extension.name)
     elif extension.group is plugins.SETTINGS:
         settings_type(extension.name)
-    else:  # agents, commands and evaluations
+    else:  # agents, commands, evaluations and scenario formats
         extension.load_callable()
+    for package in getattr(loaded, "packages", ()):
+        require_package(package, origin)
     return origin
 
 
@@ -477,6 +478,7 @@ _KINDS = {
     plugins.PANELS: "ui.panels.registry:Panel",
     plugins.DISDROMETERS: "gsrain_engine.disdrometer.open:LogFormat",
     plugins.CAPTURE_FORMATS: "gsrain_engine.datasets.open_capture:CaptureFormat",
+    plugins.DRIVE_EXPORTS: "gsrain_engine.simulation.drive_exports:DriveExport",
     plugins.MODELS: "gsrain_engine.scene.models:ModelLibrary",
     plugins.SCENES: "gsrain_engine.scene.built_in:BuiltInScene",
     plugins.PROTOCOLS: "gsrain_engine.simulation.serving.protocols:ServerProtocol",

@@ -1,18 +1,18 @@
 """`gsrain drive [SCENARIO.yaml]`: closed-loop simulation of scene, rain and agent, and its output files."""
 
 import traceback
-from collections.abc import Generator, Iterable, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from itertools import chain, product
+from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import msgspec
 from cyclopts import Parameter
 
 from gsrain_engine.choices import Backend
-from gsrain_engine.optional_packages import require_package
+from gsrain_engine.plugins import DRIVE_EXPORTS, find_extensions
 from gsrain_engine.rain.available import check_available
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.render import export_settings
@@ -47,13 +47,12 @@ if TYPE_CHECKING:
     from gsrain_engine.render.renderer import Renderer
     from gsrain_engine.scene.scene import Scene
     from gsrain_engine.simulation.agents.base import Agent
+    from gsrain_engine.simulation.drive_exports import DriveExport
     from gsrain_engine.simulation.metrics.summary import ScoredRun
-    from gsrain_engine.simulation.rollout import CameraImage, Rollout
+    from gsrain_engine.simulation.rollout import Rollout
     from gsrain_engine.simulation.simulation import Simulation
 
-
-EXPORTS = {"parquet": "pyarrow", "ros2": "rosbags", "xosc": "scenariogeneration"}
-"""Other formats of a run, and the package that writes each."""
+EXPORTS = ("parquet", *(each.name for each in find_extensions(DRIVE_EXPORTS)))
 
 # Agents
 
@@ -193,10 +192,7 @@ def drive(
     fps: Annotated[float, option("Frame rate of the videos.", topic="Output", rare=True)] = 10.0,
     export: Annotated[
         str,
-        option(
-            "Also write runs as parquet, ros2 (bag, also for Foxglove), xosc (OpenSCENARIO), with commas.",
-            topic="Output",
-        ),
+        option(f"Also write runs as {', '.join(EXPORTS)}, with commas.", topic="Output"),
     ] = "",
     rerun: Annotated[
         Path | None,
@@ -221,6 +217,7 @@ def drive(
     from gsrain_engine.render.level_of_detail import lod_cut
     from gsrain_engine.render.video import can_write_videos
     from gsrain_engine.scene.open import load_sorted_scene, scene_hash, with_lod_trees
+    from gsrain_engine.simulation.drive_exports import find_drive_export
     from gsrain_engine.simulation.metrics.summary import ScoredRun, compare_drives, results_table
     from gsrain_engine.simulation.obstacles import drivable_of
     from gsrain_engine.simulation.scenario_io import load_scenario
@@ -234,13 +231,13 @@ def drive(
         _check_scene(test.scene, scenario)
     rains = _rains(test.rain, rain, preset, weather or WeatherOptions())
     folder = output or Path(f"drive-{file_word(test.name)}")
-    files = DriveFiles(folder, frozenset(split_words(export)), fps)
+    exports = {name: find_drive_export(name, f"--export {name}") for name in sorted({*split_words(export)})}
+    files = DriveFiles(folder, exports, fps)
     files.check()
     if rerun is not None and rerun.suffix.lower() != ".rrd":
         raise ValueError(f"--rerun {rerun}: expected the name of a Rerun recording (.rrd)")
     check_writable(json, rerun, folders=[folder])
-    if rerun is not None:
-        require_package("rerun", "--rerun")
+    recording = None if rerun is None else find_drive_export("rerun", "--rerun")
     lock_outputs(folder, *([] if rerun is None else [rerun]))
     with ExitStack() as stack:
         agents = stack.enter_context(options.opened())  # before the scene, which takes longer to read
@@ -262,7 +259,8 @@ def drive(
             raise ValueError(f"--agent: two agents are called {doubled!r}, and so would be their files")
         check_writable(json, *files.planned(test.name, names, rains_mm_h, rains[0].seed, films=films))
         renderer = None
-        records = (rerun is not None or "ros2" in files.exports) and bool(opened.rigs)
+        with_images = [each for each in (*exports.values(), recording) if each is not None and each.cameras != "none"]
+        records = bool(with_images and opened.rigs)
         if films or records or any(agent.needs.cameras for agent in agents):
             opened = opened if lod_cut(opened, lod) is None else with_lod_trees(opened)
             renderer = stack.enter_context(open_renderer(backend))
@@ -287,8 +285,8 @@ def drive(
         facts = provenance_lines(run_provenance({}))  # the runs name their scene
         facts |= {"rain": extinction} if extinction else {}
         written = write_drives(files, runs, opened, renderer, facts, lod, pictures, films=films)
-        if rerun is not None:
-            _write_rerun(rerun, runs[0], opened, renderer if opened.rigs else None, lod)
+        if rerun is not None and recording is not None:
+            _export(recording, rerun, runs[0].rollout, opened, renderer if opened.rigs else None, lod)
     print_lines(results_table(compare_drives(runs)).text)
     if extinction:
         print(extinction)
@@ -373,7 +371,6 @@ def _rains(
 
 # Output files
 
-_Item = TypeVar("_Item")
 _WORD_BYTES = 90  # maximum length of a scenario's and of an agent's name within a file name
 
 
@@ -382,16 +379,15 @@ class DriveFiles:
     """Output folder and chosen files of a command."""
 
     folder: Path
-    exports: frozenset[str]
+    exports: "Mapping[str, DriveExport]"
     fps: float
 
     def check(self) -> None:
-        """Raise ValueError for unknown formats, missing packages and frame rates out of bounds."""
-        unknown = sorted(self.exports - set(EXPORTS))
-        if unknown:
-            raise ValueError(f"--export {unknown[0]}: there is only {', '.join(EXPORTS)}")
-        for name in sorted(self.exports):
-            require_package(EXPORTS[name], f"--export {name}")
+        """Raise ValueError for formats that write the same files, and for frame rates out of bounds."""
+        suffixes = [".jsonl", ".mp4", *(suffix for each in self.exports.values() for suffix in each.suffixes)]
+        doubled = next((suffix for suffix in suffixes if suffixes.count(suffix) > 1), None)
+        if doubled is not None:
+            raise ValueError(f"--export {','.join(self.exports)}: two files of a run would end in {doubled}")
         check_within("--fps", self.fps, 1, 60)
 
     def of(self, scenario: str, agent: str, intensity_mm_h: float, seed: int, suffix: str) -> Path:
@@ -407,8 +403,8 @@ class DriveFiles:
         self, scenario: str, agents: Sequence[str], rains_mm_h: Sequence[float], seed: int, *, films: bool
     ) -> list[Path]:
         """Return all files that runs of these agents in these rains will write."""
-        suffixes = [".jsonl", *(f".{kind}" for kind in sorted(self.exports - {"ros2"}))]  # a bag is a folder
-        suffixes += [".xodr"] * ("xosc" in self.exports) + [".mp4"] * films
+        suffixes = [".jsonl", *[".mp4"] * films]
+        suffixes += [suffix for each in self.exports.values() if not each.is_folder for suffix in each.suffixes]
         runs = [
             self.of(scenario, agent, rain, seed, suffix)
             for agent, rain, suffix in product(agents, rains_mm_h, suffixes)
@@ -473,14 +469,10 @@ def _write_run(
 
     write_rollout(file(".jsonl"), rollout)
     written = [file(".jsonl")]
-    for kind in sorted(files.exports):
-        if kind == "ros2":
-            _write_bag(file(".ros2"), rollout, scene, renderer, lod)
-        else:
-            _export(kind, file(f".{kind}"), rollout, scene)
-        written.append(file(f".{kind}"))
-    if "xosc" in files.exports:  # the road file that it refers to
-        written.append(file(".xodr"))
+    for export in files.exports.values():
+        paths = [file(suffix) for suffix in export.suffixes]
+        _export(export, paths[0], rollout, scene, renderer, lod)
+        written += paths
     if renderer is not None and films:
         video = RolloutVideo(RolloutPlayback(rollout, scene), renderer, lod)
         shown[file(".mp4").name] = video.provenance
@@ -491,54 +483,21 @@ def _write_run(
     return written
 
 
-def _write_rerun(path: Path, run: "ScoredRun", scene: "Scene", renderer: "Renderer | None", lod: Lod | None) -> None:
-    from gsrain_engine.simulation.ground import recorded_route
-    from gsrain_engine.simulation.interop.rerun_file import write_rollout_rerun
-    from gsrain_engine.simulation.playback import RolloutPlayback
-    from gsrain_engine.simulation.video import RolloutVideo
+def _export(
+    export: "DriveExport",
+    path: Path,
+    rollout: "Rollout | None",
+    scene: "Scene",
+    renderer: "Renderer | None",
+    lod: Lod | None,
+) -> None:
+    from gsrain_engine.simulation.drive_exports import FinishedDrive
 
-    rollout = run.rollout
     assert rollout is not None
-    images = () if renderer is None else RolloutVideo(RolloutPlayback(rollout, scene), renderer, lod).camera_images()
-    with progress_bar("Recording", len(rollout.steps) if renderer else 1) as advance:
-
-        def counted() -> "Generator[CameraImage]":
-            for image in images:
-                yield image
-                advance()
-
-        write_rollout_rerun(path, rollout, scene, recorded_route(scene), counted())
-
-
-def _write_bag(path: Path, rollout: "Rollout", scene: "Scene", renderer: "Renderer | None", lod: Lod | None) -> None:
-    from gsrain_engine.evaluation.lidar.sensor import SENSORS
-    from gsrain_engine.simulation.interop.ros2_bag import write_rollout_bag
-    from gsrain_engine.simulation.lidar_turns import rollout_lidar_turns
-    from gsrain_engine.simulation.playback import RolloutPlayback
-    from gsrain_engine.simulation.video import RolloutVideo
-
-    played = RolloutPlayback(rollout, scene)
-    cameras = () if renderer is None else played.rig.cameras
-    count = len(rollout.steps) * (1 + len(cameras))
-    with progress_bar("Recording", count) as advance:
-
-        def counted(items: Iterable[_Item]) -> Generator[_Item]:
-            for item in items:
-                yield item
-                advance()
-
-        images = chain.from_iterable(
-            RolloutVideo(played, renderer, lod, each).camera_images() for each in cameras if renderer is not None
-        )
-        write_rollout_bag(path, rollout, counted(images), counted(rollout_lidar_turns(played, SENSORS["64"])))
-
-
-def _export(kind: str, path: Path, rollout: "Rollout", scene: "Scene") -> None:
-    from gsrain_engine.simulation.rollout_io import write_rollout_parquet
-
-    if kind == "parquet":
-        write_rollout_parquet(path, rollout)
-    else:
-        from gsrain_engine.simulation.interop.openscenario_write import write_openscenario
-
-        write_openscenario(path, msgspec.convert(rollout.scenario, Scenario), scene)
+    drive = FinishedDrive(export, rollout, scene, renderer, lod)
+    if not drive.record_count:
+        export.write(drive, path)
+        return
+    with progress_bar("Recording", drive.record_count) as advance:
+        drive.on_record = advance
+        export.write(drive, path)

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from gsrain_engine.choices import READ_FORMATS, WRITTEN_FORMATS
+from gsrain_engine.plugins import SCENE_FORMATS, find_extensions
 from gsrain_engine.safe_io.file_kinds import find_file_kind
 
 from .console import counted, print, print_lines, progress_bar, run_with_progress, wide_console
@@ -310,9 +311,13 @@ def _places(summary: "CaptureSummary") -> str:
 # gsrain convert
 
 
+_INSTALLED = [f".{each.name.lower()}" for each in find_extensions(SCENE_FORMATS)]
+_READ, _WRITTEN = (" ".join([*ours, *_INSTALLED]) for ours in (READ_FORMATS, WRITTEN_FORMATS))
+
+
 def convert(
-    source: Annotated[str, option(f"Scene file ({' '.join(READ_FORMATS)}) or folder.")],
-    target: Annotated[Path, option(f"File to write ({' '.join(WRITTEN_FORMATS)}), or a folder for a scene folder.")],
+    source: Annotated[str, option(f"Scene file ({_READ}) or folder.")],
+    target: Annotated[Path, option(f"File to write ({_WRITTEN}), or a folder for a scene folder.")],
     /,
     *,
     wetness: Annotated[

@@ -70,8 +70,8 @@ def serve(
     from gsrain_engine.rain.keyframes import NO_KEYFRAMES
     from gsrain_engine.rain.simulation import RainSimulation
     from gsrain_engine.safe_io.limits import checked_token
-    from gsrain_engine.scene.formats.nurec import scene_id
     from gsrain_engine.scene.open import load_sorted_scene
+    from gsrain_engine.scene.recorded_drive import scene_id
     from gsrain_engine.simulation.serving.protocols import RainyScene, ServerOptions, find_protocol
 
     from .render import rainy_light, rendered_weather

@@ -8,7 +8,7 @@ from app.main import app, benchmarks, evaluations, view
 from docs import api_page
 from gsrain_engine import plugins
 from gsrain_engine.plugins import EntryPointGroup, find_extensions
-from gsrain_engine.scene.formats.registry import FORMATS
+from gsrain_engine.scene.formats import FORMATS, Format
 from ui.commands.table import BENCHMARKS, EVALUATIONS, SHELL_COMMANDS
 from ui.panels.registry import BUILT_IN_PANELS, DockSide, Panel
 
@@ -24,8 +24,9 @@ _SIDES: dict[DockSide, str] = {
 
 
 def formats() -> str:
-    """Return the table of scene formats."""
-    rows = [f"| `{each.suffix}` | {'yes' if each.write else 'no'} | {each.description} |" for each in FORMATS]
+    """Return the table of scene formats, with those that this program adds as extensions."""
+    known = *FORMATS, *(each.load(Format) for each in find_extensions(plugins.SCENE_FORMATS) if each.is_own)
+    rows = [f"| `{each.suffix}` | {'yes' if each.write else 'no'} | {each.description} |" for each in known]
     return "\n".join(["", "| file | written | contents |", "|---|---|---|", *rows, "", ""])
 
 

@@ -13,7 +13,7 @@ from gsrain_engine.backends import open_renderer
 from gsrain_engine.editor.viewport.camera import home_camera
 from gsrain_engine.evaluation.image_metrics import psnr
 from gsrain_engine.render.sequence import render_image
-from gsrain_engine.scene.formats.registry import FORMATS
+from gsrain_engine.scene.formats.registry import writable_suffixes
 from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.scene.open import load_scene
 
@@ -23,10 +23,8 @@ camera = home_camera(scene, 480, 320)
 
 with open_renderer() as renderer:
     original = render_image(renderer, scene, RainSettings(), camera).over()
-    for each in FORMATS:
-        if each.write is None:
-            continue
-        file = out / f"scene{each.suffix}"
+    for suffix in writable_suffixes():
+        file = out / f"scene{suffix}"
         write_scene(scene, file)  # all layers in one file; a name without a suffix would be a scene folder
         again = load_scene(file)
         picture = render_image(renderer, again, RainSettings(), camera).over()

@@ -32,10 +32,10 @@ FILM_SHARE = 0.05
 """Share of mirrored light from which a pixel counts as water film."""
 
 READ_FORMATS = (
-    ".compressed.ply", ".ply", ".splat", ".spz", ".ksplat", ".sog", ".glb", ".usdz", ".gltf", "lod-meta.json",
+    ".compressed.ply", ".ply", ".splat", ".spz", ".ksplat", ".sog", ".glb", ".gltf", "lod-meta.json",
     "meta.json",
 )  # fmt: skip
-WRITTEN_FORMATS = (".compressed.ply", ".ply", ".splat", ".spz", ".sog", ".glb", ".usdz")
+WRITTEN_FORMATS = (".compressed.ply", ".ply", ".splat", ".spz", ".sog", ".glb")
 """Suffixes of `scene.formats.registry.FORMATS`, for help texts."""
 
 Axis = Literal["x", "-x", "y", "-y", "z", "-z"]

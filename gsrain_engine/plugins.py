@@ -30,17 +30,19 @@ CAPTURE_FORMATS = EntryPointGroup("gsrain.capture_formats", "capture format")
 COMMANDS = EntryPointGroup("gsrain.commands", "command")
 DECODERS = EntryPointGroup("gsrain.decoders", "decoder")
 DISDROMETERS = EntryPointGroup("gsrain.disdrometers", "disdrometer format")
+DRIVE_EXPORTS = EntryPointGroup("gsrain.drive_exports", "drive export")
 EVALUATIONS = EntryPointGroup("gsrain.evaluations", "evaluation")
 MODELS = EntryPointGroup("gsrain.models", "library of models")
 PANELS = EntryPointGroup("gsrain.panels", "panel")
 PROTOCOLS = EntryPointGroup("gsrain.protocols", "protocol")
+SCENARIO_FORMATS = EntryPointGroup("gsrain.scenario_formats", "scenario format")
 SCENE_FORMATS = EntryPointGroup("gsrain.scene_formats", "scene format")
 SCENES = EntryPointGroup("gsrain.scenes", "scene")
 SETTINGS = EntryPointGroup("gsrain.settings", "kind of settings")
 TRANSFERS = EntryPointGroup("gsrain.transfers", "transfer")
 GROUPS = (
-    AGENTS, CAPTURE_FORMATS, COMMANDS, DECODERS, DISDROMETERS, EVALUATIONS, MODELS, PANELS, PROTOCOLS, SCENE_FORMATS,
-    SCENES, SETTINGS, TRANSFERS,
+    AGENTS, CAPTURE_FORMATS, COMMANDS, DECODERS, DISDROMETERS, DRIVE_EXPORTS, EVALUATIONS, MODELS, PANELS, PROTOCOLS,
+    SCENARIO_FORMATS, SCENE_FORMATS, SCENES, SETTINGS, TRANSFERS,
 )  # fmt: skip
 """All groups; docs/extending.md has an example of each."""
 
@@ -62,6 +64,11 @@ class Extension:
     version: str
     _entry: Any
     """An EntryPoint of importlib.metadata, or of its backport if a library has replaced it."""
+
+    @property
+    def is_own(self) -> bool:
+        """True for those of this program itself: the folders of `gsrain_extras`."""
+        return self.package == "gsrain"
 
     @property
     def title(self) -> str:

@@ -9,7 +9,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from gsrain_engine.scene.formats.registry import FORMATS
+from gsrain_engine.scene.formats.registry import scene_suffixes
 
 _HERE = Path(__file__).resolve().parent
 _ICONS = _HERE.parent / "app" / "icons"
@@ -60,10 +60,10 @@ _MAGIC = {
 def media_types() -> dict[str, str]:
     """Media types of scene files, each with its description in shared-mime-info's XML."""
     marks: dict[str, list[str]] = {}
-    for each in FORMATS:
-        if each.suffix.startswith("."):  # else it is a file's whole name, which says nothing to a desktop
-            mark = _MAGIC.get(each.suffix) or _GLOB.format(suffix=each.suffix)
-            marks.setdefault(each.suffix.rpartition(".")[2], []).append(mark)
+    for suffix in scene_suffixes():
+        if suffix.startswith("."):  # else it is a file's whole name, which says nothing to a desktop
+            mark = _MAGIC.get(suffix) or _GLOB.format(suffix=suffix)
+            marks.setdefault(suffix.rpartition(".")[2], []).append(mark)
     return {
         f"application/vnd.gsrain.{name}": _TYPE.format(
             type=f"application/vnd.gsrain.{name}", name=name.upper(), marks="".join(lines)

@@ -30,7 +30,9 @@ from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from gsrain_engine.scene.open import load_scene, scene_hash
 from gsrain_engine.simulation.agents.base import Agent
 from gsrain_engine.simulation.agents.registry import open_agent
+from gsrain_engine.simulation.drive_exports import FinishedDrive, find_drive_export
 from gsrain_engine.simulation.scenario import Scenario
+from gsrain_engine.simulation.scenario_io import load_scenario, scenario_suffixes
 from gsrain_engine.simulation.serving.protocols import RainyScene, ServerOptions, find_protocol
 from gsrain_engine.simulation.simulation import Simulation, run_drive
 from gsrain_engine.simulation.traffic.appearance import vehicle_model
@@ -84,7 +86,7 @@ def test_scene_formats_are_read_and_written(rain_lab, scene, tmp_path, capsys):
     for name, words in (
         ("scan.pts", "expected 3 points"),
         ("empty.pts", "pts (rain_lab.laser_scan:FORMAT of rain-lab): line"),
-        ("scan.lab", "meta.json or .pts"),
+        ("scan.lab", " .pts"),
     ):
         (tmp_path / name).write_text("nothing\n" if name == "empty.pts" else "3\n1 2 3 0 255 255 255\n")
         error = refused(capsys, "info", tmp_path / name)
@@ -199,6 +201,29 @@ def test_settings_have_schemas(rain_lab, tmp_path):
     (tmp_path / "mine.yaml").write_text("mast_height_m: 200")
     with pytest.raises(ValueError, match="mast_height_m"):
         sys.modules[kind.__module__].load_site(str(tmp_path / "mine.yaml"))
+
+
+def test_drives_are_exported(rain_lab, scene, tmp_path, capsys):
+    scenario = Scenario(name="empty road", scene=str(scene), speed_m_s=8.0, duration_s=1.0)
+    rollout = run_drive(Simulation(scenario, read_scene(scene)), open_agent("constant-velocity"))
+    export = find_drive_export("track", "--export track")
+    export.write(FinishedDrive(export, rollout, read_scene(scene)), tmp_path / "a.geojson")
+    track = json.loads((tmp_path / "a.geojson").read_text())
+    assert np.diff(track["geometry"]["coordinates"], axis=0)[:, 0] == pytest.approx([2.0] * 4, abs=1e-3)
+    assert track["properties"] == {"agent": "constant-velocity", "times_s": [0.0, 0.25, 0.5, 0.75, 1.0]}
+    error = refused(capsys, "drive", "--export", "trick", "-o", tmp_path / "out")
+    assert error.startswith("gsrain: --export trick: there is only parquet, ") and "track" in error
+
+
+def test_scenarios_are_read(rain_lab, tmp_path):
+    file = tmp_path / "late_braking.ini"
+    file.write_text(BLOCKS["late_braking.ini"])
+    scenario = load_scenario(file)
+    assert (scenario.name, scenario.speed_m_s, scenario.rain.intensity_mm_h) == ("late_braking", 12.0, 8.5)
+    assert scenario.road_users[0].ahead_m == 30.0 and ".ini" in scenario_suffixes()
+    file.write_text("[test]\nspeed_m_s = fast\n")
+    with pytest.raises(ValueError, match=r"late_braking\.ini: expected speed_m_s, .*fast"):
+        load_scenario(file)
 
 
 def test_functions_are_commands(rain_lab, scene, capsys):

@@ -2,6 +2,7 @@
 
 import logging
 import re
+import sys
 
 import numpy as np
 import pytest
@@ -20,8 +21,11 @@ from gsrain_engine.evaluation.detection.decoders import DecoderInput, decode_out
 from gsrain_engine.evaluation.detection.description import DetectorDescription
 from gsrain_engine.plugins import ExtensionError
 from gsrain_engine.safe_io.errors import SceneFormatError
-from gsrain_engine.scene.formats.registry import writable_suffixes
+from gsrain_engine.scene.formats.registry import lost_in_file, writable_suffixes
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
+from gsrain_engine.simulation.drive_exports import FinishedDrive, find_drive_export
+from gsrain_engine.simulation.scenario_io import load_scenario
+from small_rollout import approach
 from small_scene import small_scene
 
 MODULE = """
@@ -32,6 +36,8 @@ from gsrain_engine.disdrometer.open import LogFormat
 from gsrain_engine.evaluation.detection.decoders import BoxCandidates, Decoder
 from gsrain_engine.scene.formats._common import Format
 from gsrain_engine.scene.gaussians import Gaussians
+from gsrain_engine.scene.scene import Layer, Scene
+from gsrain_engine.simulation.drive_exports import DriveExport
 
 def fails(*anything):
     raise RuntimeError("the magic smoke has left")
@@ -48,6 +54,21 @@ HOLLOW = Format(".hollow", hollow, None, "NaN")
 SMOKE = Format(".smoke", fails, fails, "fails")
 NUMBER = Format(".number", lambda path: 3, None, "reads no Gaussians")
 MISNAMED = Format(".other", gaussians, None, "of another suffix")
+
+def layers(path):
+    return Scene("layers", (Layer("first", gaussians(path)), Layer("second", gaussians(path))))
+
+def far(path):
+    return Scene("far", (Layer("far", gaussians(path), to_scene=np.full((4, 4), np.inf)),))
+
+def written(scene, path):
+    path.write_text(",".join(layer.name for layer in scene.layers))
+
+SCENES = Format(".layers", gaussians, fails, "scenes", 3, layers, written, lambda lost: lost[:0])
+SCENE_SMOKE = Format(".fumes", gaussians, fails, "fails", 3, fails, fails, fails)
+FAR = Format(".far", gaussians, None, "is nowhere", 3, far)
+GAUSSIANS = Format(".flat", gaussians, None, "reads no scene", 3, gaussians)
+PACKAGED = Format(".packed", fails, fails, "needs torch", packages=("torch",))
 WET = TransferMethod("wet", "Not ours", "", fails)
 STRANGER = TransferMethod("somebody", "Of another name", "", fails)
 UNSET = TransferMethod("unset", "Asks for what is not there", "", fails, uses=("strength",))
@@ -56,6 +77,8 @@ OPENS_NOT = TransferMethod("opens-not", "Fails", "", fails)
 LISTS = Decoder(lambda outputs, layout: [])
 BOX, SURE = np.zeros((1, 4), np.float32), np.ones(1, np.float32)
 CLASS_9 = Decoder(lambda outputs, layout: BoxCandidates(BOX, SURE, np.array([9])))
+HALF = DriveExport((".half",), fails)
+ENDLESS = DriveExport((), fails)
 DOUBTS = LogFormat(lambda lines: lines[0] == "doubt", fails)
 NOTHING = LogFormat(lambda lines: lines[0] == "nothing", lambda path, lines: 3)
 FOLDERS = CaptureFormat("anything", fails, fails)
@@ -64,7 +87,8 @@ ENTRIES = {
     "gsrain.scene_formats": {
         "long": "bad_lab:LONG", "hollow": "bad_lab:HOLLOW", "smoke": "bad_lab:SMOKE", "number": "bad_lab:NUMBER",
         "misnamed": "bad_lab:MISNAMED", "function": "bad_lab:gaussians", "absent": "no_such_module_of_bad_lab:X",
-        "ply": "bad_lab:SMOKE",
+        "ply": "bad_lab:SMOKE", "layers": "bad_lab:SCENES", "fumes": "bad_lab:SCENE_SMOKE", "far": "bad_lab:FAR",
+        "flat": "bad_lab:GAUSSIANS", "packed": "bad_lab:PACKAGED",
     },
     "gsrain.transfers": {
         "wet": "bad_lab:WET", "stranger": "bad_lab:STRANGER", "unset": "bad_lab:UNSET", "lost": "bad_lab:LOST",
@@ -73,6 +97,8 @@ ENTRIES = {
     "gsrain.decoders": {
         "lists": "bad_lab:LISTS", "class-9": "bad_lab:CLASS_9", "text": "bad_lab:__doc__",
     },
+    "gsrain.drive_exports": {"half": "bad_lab:HALF", "endless": "bad_lab:ENDLESS", "parquet": "bad_lab:HALF"},
+    "gsrain.scenario_formats": {"fumes": "bad_lab:fails", "flat": "bad_lab:gaussians", "yaml": "bad_lab:fails"},
     "gsrain.disdrometers": {"doubts": "bad_lab:DOUBTS", "nothing": "bad_lab:NOTHING", "broken": "bad_lab:fails"},
     "gsrain.evaluations": {
         "lidar": "bad_lab:fails", "smoke": "bad_lab:fails", "number": "bad_lab:MISNAMED", "gone": "gone:x",
@@ -104,6 +130,11 @@ def log(text):
     return lambda folder: read_disdrometer(written(folder / "log.txt", f"{text}\nmore\n"))
 
 
+def exported(name, folder):
+    export = find_drive_export(name, f"--export {name}")
+    export.write(FinishedDrive(export, approach(), small_scene()), folder / "a")
+
+
 def scene(suffix):
     return lambda folder: read_scene(written(folder / f"scene.{suffix}"))
 
@@ -111,13 +142,28 @@ def scene(suffix):
 @pytest.mark.parametrize(
     ("use", "kind", "names"),
     [
-        (scene("smoke"), SceneFormatError, r"smoke \(bad_lab:SMOKE of bad-lab\): line 11 of bad_lab.py: the magic"),
+        (scene("smoke"), SceneFormatError, r"smoke \(bad_lab:SMOKE of bad-lab\): line 13 of bad_lab.py: the magic"),
         (scene("number"), SceneFormatError, "number .*Gaussians"),
         (scene("misnamed"), SceneFormatError, "'.other', .* '.misnamed'"),
         (scene("function"), SceneFormatError, "function .*Format"),
         (scene("absent"), SceneFormatError, "no_such_module_of_bad_lab"),
         (scene("hollow"), SceneFormatError, "2 of 2 Gaussians"),
+        (scene("fumes"), SceneFormatError, "fumes .*magic smoke"),
+        (scene("far"), SceneFormatError, "far: its transform"),
+        (scene("flat"), SceneFormatError, "flat .*Scene"),
+        (lambda folder: write_scene(small_scene(), folder / "a.fumes"), SceneFormatError, "fumes .*magic smoke"),
+        (lambda folder: lost_in_file(small_scene(), folder / "a.fumes"), SceneFormatError, "fumes .*magic smoke"),
         (lambda folder: write_scene(small_scene(), folder / "scene.smoke"), SceneFormatError, "magic smoke"),
+        (lambda folder: exported("half", folder), ExtensionError, "half .*magic smoke"),
+        (lambda folder: exported("endless", folder), ExtensionError, "endless .*suffixes"),
+        (lambda folder: load_scenario(written(folder / "a.fumes")), ValueError, r"a\.fumes: .*fumes .*magic smoke"),
+        (lambda folder: load_scenario(written(folder / "a.flat")), ValueError, r"a\.flat: .*flat .*Scenario"),
+        (lambda folder: load_scenario(written(folder / "a.yaml", "a: 1")), ValueError, r"a\.yaml: .*unknown field"),
+        (
+            lambda folder: load_scenario(written(folder / "a.lost", "<")),
+            ValueError,
+            r"package reads \.lost",
+        ),
         (lambda _: open_transfer("opens-not", SETTINGS, ImageEnvironment()), ExtensionError, "opens-not .*magic smoke"),
         (lambda _: open_transfer("opens-number", SETTINGS, ImageEnvironment()), ExtensionError, "opens-number .*name"),
         (lambda _: decoded("lists"), ValueError, "lists .*BoxCandidates"),
@@ -141,7 +187,23 @@ def test_gaussians_of_a_format_are_made_drawable(bad_lab, tmp_path):
     write_scene(small_scene(), tmp_path / "scene.ply")  # ours is not replaced
     assert read_scene(tmp_path / "scene.ply").gaussian_count > 0
     assert {each.name for each in tmp_path.iterdir()} == {"a.long", "scene.ply"}
-    assert {".ply", ".splat", ".spz"} < {*writable_suffixes()} and writable_suffixes()[-1] == ".smoke"
+    assert {".ply", ".splat", ".spz"} < {*writable_suffixes()} and ".smoke" in writable_suffixes()
+
+
+def test_scenes_of_a_format_keep_their_layers(bad_lab, tmp_path):
+    found = read_scene(written(tmp_path / "a.layers"))
+    assert [layer.name for layer in found.layers] == ["first", "second"]
+    assert found.layers[1].gaussians.quaternions.tolist() == [[0.5] * 4] * 2
+    write_scene(small_scene(), tmp_path / "b.layers")
+    assert (tmp_path / "b.layers").read_text() == "road,wall,sky"
+    assert lost_in_file(small_scene(), tmp_path / "b.layers") == []
+
+
+def test_formats_name_the_package_that_they_need(bad_lab, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "torch", None)
+    for use in (scene("packed"), lambda folder: write_scene(small_scene(), folder / "scene.packed")):
+        with pytest.raises(SceneFormatError, match=r"scene\.packed: a \.packed file needs torch, "):
+            use(tmp_path)
 
 
 def test_unusable_methods_and_logs_are_reported_once(bad_lab, tmp_path, caplog):

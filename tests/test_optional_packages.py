@@ -34,14 +34,12 @@ def test_each_optional_package_is_one_of_its_extra():
 @pytest.mark.parametrize(
     ("module", "words", "package", "extra"),
     [
-        ("pxr", ["convert", "{scene}", "{out}/a.usdz"], "usd-core", "usd"),
         ("xarray", ["disdrometer", "-o", "{out}/a.nc"], "xarray", "netcdf"),
         pytest.param("pyrender", ["street", "{out}/street"], "pyrender", "street", marks=pytest.mark.street),
         ("grpc", ["serve", "{scene}"], "grpcio", "alpasim"),
         ("carla_canvas", ["serve", "{scene}", "--protocol", "carla-canvas"], "carla-canvas", "carla"),
         ("viser", ["serve", "{scene}", "--protocol", "browser"], "viser", "viser"),
-        ("rerun", ["drive", "--rerun", "{out}/a.rrd", "-o", "{out}/drive"], "rerun-sdk", "rerun"),
-        ("rosbags", ["drive", "--export", "ros2", "-o", "{out}/drive"], "rosbags", "recordings"),
+        ("pyarrow", ["drive", "--export", "parquet", "-o", "{out}/drive"], "pyarrow", "drive"),
     ],
 )
 def test_a_command_names_the_package_and_the_line_that_installs_it(
@@ -63,17 +61,6 @@ def test_a_missing_package_is_an_import_error_and_a_wrong_value(without):
         import_package("rerun", "a Rerun file")
     assert isinstance(caught.value, ImportError) and isinstance(caught.value, ValueError)
     assert caught.value.name == "rerun"
-
-
-def test_a_scene_whose_package_is_missing_is_named_by_its_own_file(without, tmp_path, capsys):
-    scene = tmp_path / "scene"
-    write_scene(small_scene(), scene)
-    assert run(["convert", str(scene), str(tmp_path / "a.usdz")]) == 0
-    without("pxr")
-    capsys.readouterr()
-    for words in (["info", f"{tmp_path / 'a.usdz'}"], ["convert", f"{scene}", f"{tmp_path / 'b.usdz'}"]):
-        assert run(words) == BAD_INPUT
-        assert capsys.readouterr().err.startswith(f"gsrain: {words[-1]}: a .usdz file needs usd-core, ")
 
 
 def test_doctor_says_which_protocol_lacks_a_package(without, capsys):

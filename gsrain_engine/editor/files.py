@@ -390,7 +390,11 @@ class Files:
         scene = saved_scene(self._viewport)
         if self._document.rain == rain_around(scene, load_preset("clear")):
             scene = replace(scene, rain=None)
-        missing = lost_in_file(scene, path)
+        try:
+            missing = lost_in_file(scene, path)
+        except SceneFormatError as error:  # raised by an installed package
+            self._status.report(error)
+            return
 
         def begin() -> None:
             self._begin_work(

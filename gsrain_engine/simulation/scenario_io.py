@@ -1,4 +1,8 @@
-"""Scenario files: loading (YAML, HUGSIM, OpenSCENARIO XML), saving, and relative file names."""
+"""Scenario files: loading (YAML, HUGSIM, and formats of installed packages), saving, and relative file names.
+
+A format is an entry point of the group `gsrain.scenario_formats`, those of this program included: its name is the
+suffix, its object reads a path.
+"""
 
 import os
 from collections.abc import Callable
@@ -10,21 +14,22 @@ import msgspec
 import yaml
 
 from ..choices import LAMP_WORDS
+from ..plugins import SCENARIO_FORMATS, Extension, find_extensions
 from ..presets import load_config, resolve_from_folder, shipped_config_names
 from ..rain.calibration import calibration_names
 from ..safe_io.errors import convert_checked
 from ..safe_io.files import whole_file
-from ..safe_io.text_files import read_whole, yaml_values
+from ..safe_io.text_files import printable_line, read_whole, yaml_values
 from ..scene.built_in import DEFAULT_SCENE
 from ..scene.models import model_names
 from ..scene.sensor import sensor_names
 from .interop.hugsim_scenario import hugsim_scenario, is_hugsim_scenario
-from .interop.openscenario_read import read_openscenario
 from .scenario import Scenario, ScenarioUser
 from .traffic.appearance import ACTOR
 from .traffic.settings import Replay
 
 _FOLDER = "scenarios"
+_YAML = ".yaml", ".yml"
 
 
 def scenario_names() -> list[str]:
@@ -32,7 +37,7 @@ def scenario_names() -> list[str]:
 
 
 def load_scenario(name: str | Path) -> Scenario:
-    """Load a shipped scenario by name, or a scenario file by path: GSRAIN's, HUGSIM's, or OpenSCENARIO XML.
+    """Load a shipped scenario by name, or a scenario file by path: GSRAIN's, HUGSIM's, or one of `scenario_suffixes`.
 
     A file's own file names are resolved against its folder first, then the working folder. Raises ValueError with the
     file, the field and what is allowed.
@@ -43,18 +48,42 @@ def load_scenario(name: str | Path) -> Scenario:
     return load_config(_FOLDER, name, Scenario, "scenario")
 
 
+def scenario_suffixes() -> tuple[str, ...]:
+    """Suffixes of scenario files, those of installed packages last; other files are read as YAML, too."""
+    return (*_YAML, *(suffix for suffix in _added_formats() if suffix not in _YAML))
+
+
+def _added_formats() -> dict[str, Extension]:
+    return {f".{each.name.lower()}": each for each in find_extensions(SCENARIO_FORMATS)}
+
+
 def _read(path: Path) -> Scenario:
-    """Read a file: `.xosc` is OpenSCENARIO XML, anything else YAML, whose keys identify HUGSIM scenarios."""
-    if path.suffix.lower() == ".xosc":
-        return read_openscenario(path)
+    """Read a file: by its suffix in the format of a package, else as YAML, whose keys identify HUGSIM scenarios."""
+    suffix = path.suffix.lower()
+    if suffix not in _YAML and (extension := _added_formats().get(suffix)) is not None:
+        return _read_by(extension, path)
     data = read_whole(path)
     try:
         values = yaml_values(data)
         if not is_hugsim_scenario(values):
             return convert_checked(values, Scenario)
     except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
+        as_yaml = f"; read as YAML, as no installed package reads {suffix} scenarios"
+        raise ValueError(f"{path}: {error}{as_yaml if suffix and suffix not in _YAML else ''}") from None
     return hugsim_scenario(values, path)
+
+
+def _read_by(extension: Extension, path: Path) -> Scenario:
+    """Read a file by third-party code, whose errors become one sentence that names the file."""
+    try:
+        return extension.expect(extension.load_callable()(path), Scenario, "reads")
+    except ValueError as error:
+        reason = printable_line(error)
+        raise ValueError(reason if reason.startswith(str(path)) else f"{path}: {reason}") from error.__cause__
+    except (OSError, MemoryError):
+        raise
+    except Exception as error:  # third-party code may raise anything
+        raise ValueError(f"{path}: {extension.unfit(error)}") from error
 
 
 def save_scenario(scenario: Scenario, path: Path) -> None:

@@ -232,7 +232,7 @@ def _packages(scenes: list[str], agent: AgentChoice | None = None) -> dict[str, 
     if agent is not None:
         used += [each for each in find_extensions(AGENTS) if each.name == agent.name]
         used += find_extensions(DECODERS) if agent.detector is not None else ()
-    return {each.package: each.version for each in used}
+    return {each.package: each.version for each in used if not each.is_own}
 
 
 def _renders(sweep: RenderSweep) -> list[Job]:

@@ -20,9 +20,9 @@ from gsrain_engine.evaluation.lidar.scan import scan_in_rain, scan_scene
 from gsrain_engine.evaluation.lidar.sensor import SENSORS, LidarSensor
 from gsrain_engine.render.view import leveled_frame
 from gsrain_engine.scene.camera import Camera
-from gsrain_engine.scene.formats.nurec import sensor_height_m, start_s, timestamps_us
 from gsrain_engine.scene.geometry import matrices_from_quaternions, quaternions_from_matrices
 from gsrain_engine.scene.lens_faces import LensFace, assemble, lens_faces
+from gsrain_engine.scene.recorded_drive import sensor_height_m, start_s, timestamps_us
 from gsrain_engine.scene.rolling_shutter import ReadoutDirection, RollingShutter
 from gsrain_engine.scene.scene import Actor, PoseTrack, RigCamera, Scene
 from gsrain_engine.simulation.serving.scenes import Moment, Pose, RequestError, ServedScene, ServedScenes, track_through

@@ -65,11 +65,11 @@ def test_a_driver_who_never_brakes_hits_the_car_and_is_filmed(scenario, tmp_path
 
 
 def test_an_oracle_stops_at_every_intensity(scenario, tmp_path, reported):
-    options = ("--rain", "0,1.2,12", "--export", "parquet,xosc", "-o", tmp_path)
+    options = ("--rain", "0,1.2,12", "--export", "parquet", "-o", tmp_path)
     rows = reported("drive", scenario, "--agent", "oracle-idm", *options)["rows"]
     assert [row["intensity_mm_h"] for row in rows] == [0, 1.2, 12]
     assert not any(row["collision"] for row in rows) and len({row["min_ttc_s"] for row in rows}) == 1
-    for ending in ("jsonl", "parquet", "xosc"):
+    for ending in ("jsonl", "parquet"):
         assert (tmp_path / f"standing_oracle-idm_12mm_seed0.{ending}").stat().st_size > 1000
     assert not list(tmp_path.glob("*.mp4"))
     assert "| standing | oracle-idm | 0 | no |" in (tmp_path / "table.md").read_text()

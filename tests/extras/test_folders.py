@@ -7,7 +7,9 @@ import pytest
 
 from app.main import BAD_INPUT, run
 from gsrain_engine import plugins
+from gsrain_engine.scene.formats.scene_files import write_scene
 from repository import REPOSITORY
+from small_scene import small_scene
 
 EXTRAS = REPOSITORY / "gsrain_extras"
 FOLDERS = sorted(each.name for each in EXTRAS.iterdir() if (each / "__init__.py").is_file())
@@ -48,3 +50,26 @@ def test_without_a_row_the_command_names_the_others(monkeypatch, capsys):
     assert run(["serve"]) == BAD_INPUT
     (line,) = capsys.readouterr().err.splitlines()
     assert line == "gsrain: --protocol alpasim: there is browser, carla-canvas"
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        ("convert {scene} {out}.usdz", "must end in .compressed.ply, .ply, .splat, .spz, .sog or .glb"),
+        ("info {out}.usdz", "no known scene format"),
+        ("drive --export xosc -o {out}", "--export xosc: there is only parquet"),
+        ("drive --export ros2 -o {out}", "--export ros2: there is only parquet"),
+        ("drive --rerun {out}.rrd -o {out}", "--rerun: there is only parquet"),
+        ("drive {out}.xosc -o {out}", "no installed package reads .xosc scenarios"),
+    ],
+)
+def test_without_any_row_formats_are_unknown(words, sentence, tmp_path, capsys, monkeypatch):
+    for place in ("plugins", "scene.formats.registry", "simulation.drive_exports", "simulation.scenario_io"):
+        monkeypatch.setattr(f"gsrain_engine.{place}.find_extensions", lambda group: ())
+    scene, out = tmp_path / "scene", tmp_path / "out"
+    write_scene(small_scene(), scene)
+    out.with_suffix(".usdz").write_bytes(b"PK")
+    out.with_suffix(".xosc").write_text("<?xml version='1.0'?>\n<OpenSCENARIO/>")
+    assert run(words.format(scene=scene, out=out).split()) == BAD_INPUT
+    (line,) = capsys.readouterr().err.splitlines()
+    assert sentence in line, line

@@ -12,15 +12,12 @@ import yaml
 
 from gsrain_engine.simulation.agents.http import ClientError, read_plan
 from gsrain_engine.simulation.interop.hugsim_protocol import read_reply
-from gsrain_engine.simulation.interop.openscenario_write import write_openscenario
 from gsrain_engine.simulation.metrics.summary import measure_drive
 from gsrain_engine.simulation.rollout_io import read_any_rollout, write_rollout, write_rollout_parquet
 from gsrain_engine.simulation.scenario_io import load_scenario
 from gsrain_engine.sweep.results import columns_of, rows_in, rows_parquet
 from gsrain_engine.sweep.settings import load_sweep
 from small_rollout import approach
-from small_scene import small_scene
-from tests.simulation.interop.test_openscenario import foreign, scenario
 
 from .mutations import damaged_bytes, damaged_json, damaged_text, damaged_yaml
 from .reader import Reader, one_file, one_text
@@ -59,12 +56,6 @@ _HUGSIM = {
 
 def _read_scenario(path: Path) -> None:
     assert_finite(load_scenario(path))
-
-
-def _exported(folder: Path) -> Path:
-    write_openscenario(folder / "ours.xosc", scenario(), small_scene())
-    (folder / "ours.xodr").unlink()
-    return folder / "ours.xosc"
 
 
 def _read_rollout(path: Path) -> None:
@@ -132,14 +123,11 @@ def _read_http(path: Path) -> None:
 
 
 _YAML = (("*.yaml", damaged_yaml),)
-_XML = (("*.xosc", damaged_text),)
 _PARQUET = (("*.parquet", damaged_bytes),)
 
 DRIVING_READERS = (
     Reader("scenario", one_text("test.yaml", _SCENARIO), _read_scenario, ValueError, _YAML),
     Reader("hugsim-scenario", one_text("test.yaml", yaml.safe_dump(_HUGSIM)), _read_scenario, ValueError, _YAML),
-    Reader("openscenario", _exported, _read_scenario, ValueError, _XML),
-    Reader("openscenario-foreign", foreign, _read_scenario, ValueError, _XML),
     *(
         Reader(f"{name}-sweep", one_text("sweep.yaml", (_SHIPPED / f"sweeps/{name}.yaml").read_text()),
                lambda path: assert_finite(load_sweep(path)), ValueError, _YAML)

@@ -9,6 +9,13 @@ from pathlib import Path
 from .reader import Finding
 
 FOUND = Path(__file__).parent / "found"
+EXTRAS = Path(__file__).parents[1] / "extras"
+"""Tests of the folders of `gsrain_extras`, each with `found` of its own."""
+
+
+def findings() -> list[Path]:
+    """Return the files of all findings."""
+    return sorted([*FOUND.glob("*.json"), *EXTRAS.glob("*/found/*.json")])
 
 
 def write_finding(finding: Finding, folder: Path) -> Path:

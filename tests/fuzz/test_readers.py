@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from .found import FOUND, read_finding
+from .found import findings, read_finding
 from .reader import Example, limited_memory
 from .readers import READERS
 
-_FOUND = sorted(FOUND.glob("*.json"))
+_FOUND = findings()
 
 
 @pytest.fixture(scope="module")

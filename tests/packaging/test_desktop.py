@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
-from gsrain_engine.scene.formats.registry import FORMATS
+from gsrain_engine.scene.formats.registry import scene_suffixes
 from ui.window import SIZES_PX, read_icon
 
 PACKAGING = Path(__file__).resolve().parents[2] / "packaging"
@@ -38,7 +38,7 @@ def test_the_entry_opens_what_the_program_reads_and_is_removed(tmp_path):
     space = "{http://www.freedesktop.org/standards/shared-mime-info}"
     declared = ElementTree.parse(share / "mime" / "packages" / "gsrain-mime.xml").getroot()
     assert types == {each.get("type") for each in declared.iter(f"{space}mime-type")}
-    known = {f"*{each.suffix}" for each in FORMATS if each.suffix[0] == "."}
+    known = {f"*{suffix}" for suffix in scene_suffixes() if suffix[0] == "."}
     assert {each.get("pattern") for each in declared.iter(f"{space}glob")} == known - {"*.ply"}  # by its first bytes
     assert [each.get("value") for each in declared.iter(f"{space}match")][:2] == ["ply\\n", "f_dc_0"]
     assert entry["Desktop Entry"]["StartupWMClass"] == "GSRAIN"

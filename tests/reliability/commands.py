@@ -66,7 +66,7 @@ COMMANDS = (
     Command(
         "drive",
         ("drive", "{in}/short.yaml", "-o", "{out}/drive", "--agent", "constant-velocity", "--rain", "0,8.5",
-         "--export", "parquet,xosc", "--backend", "cpu", "--json", "{out}/drive.json"),
+         "--export", "parquet", "--backend", "cpu", "--json", "{out}/drive.json"),
     ),
     Command("sweep", ("sweep", "{in}/sweep.yaml", "-o", "{out}/sweep", "--workers", "0")),
     Command(

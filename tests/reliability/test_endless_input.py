@@ -26,7 +26,6 @@ SETTINGS = (
     "reconstruct {scene} -o {out} --config {}",
     "sweep {}.yaml -o {out}",
     "drive {} -o {out}",
-    "drive {}.xosc -o {out}",
     "train-transfer {} -o {out}",
     "evaluate transfers {}.yaml -o {out}",
     "evaluate lidar {scene} -o {out} --sensor {}",

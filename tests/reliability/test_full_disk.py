@@ -52,7 +52,7 @@ def bytes_in(folder):
 
 
 @pytest.mark.parametrize("is_there", [False, True])
-@pytest.mark.parametrize("name", ["a.ply", "a.splat", "a.spz", "a.usdz", "scene"])
+@pytest.mark.parametrize("name", ["a.ply", "a.splat", "a.spz", "scene"])
 def test_exports_leave_older_files(scene_folder, tmp_path, capsys, name, is_there):
     results = tmp_path / "results"
     results.mkdir()

@@ -16,6 +16,7 @@ from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.fields import field_of
 from gsrain_engine.simulation.agents.registry import SHIPPED_AGENTS, options_used_by
 from gsrain_engine.simulation.scenario import ScenarioUser
+from gsrain_engine.simulation.scenario_io import scenario_suffixes
 
 from ..commands.table import help_of
 from ..widgets.draw import color
@@ -37,7 +38,6 @@ from .drive_plots import curve_colors, drive_metrics
 from .jobs import job_fields
 
 _ICONS = icons_fontawesome_6
-_SCENARIOS = f"Scenarios{{.yaml,.yml,.xosc}},{ALL_FILES}"
 _DETECTORS = f"Detectors{{.onnx}},{ALL_FILES}"
 _ROLLOUTS = "Roll-outs{.jsonl,.parquet}"
 
@@ -82,7 +82,8 @@ def drive_panel(document: Document, viewport: ViewportState, rollouts: RolloutPl
 
 
 def ask_for_scenario(rollouts: RolloutPlayer) -> None:
-    ask_what_to_open("Open scenario", _SCENARIOS, lambda chosen: rollouts.setup.load(chosen[0]))
+    kinds = f"Scenarios{{{','.join(scenario_suffixes())}}},{ALL_FILES}"
+    ask_what_to_open("Open scenario", kinds, lambda chosen: rollouts.setup.load(chosen[0]))
 
 
 def ask_where_to_save_scenario(setup: DriveSetup) -> None:

@@ -233,6 +233,8 @@ class Format(NamedTuple):
     """Writes more than the flattened scene, to exactly this path."""
     lost: Callable[[list[str]], list[str]] | None = None
     """Selects from the phrases of `lost_when_flattened` those that apply to `write_scene`."""
+    packages: tuple[str, ...] = ()
+    """Modules of `OPTIONAL_PACKAGES` that it needs."""
 
 
 # Packed numbers

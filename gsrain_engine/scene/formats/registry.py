@@ -6,18 +6,21 @@ A new format is one file with a reader and one row here, or an installed package
 import difflib
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 
+from ...optional_packages import MissingPackageError, require_package
 from ...plugins import SCENE_FORMATS, Extension, ExtensionError, find_extensions
 from ...safe_io.errors import SceneFormatError
 from ...safe_io.file_kinds import kind_of_file
 from ...safe_io.files import whole_file
+from ..flags import UNMARKED
 from ..gaussians import Gaussians
-from ..scene import Scene
+from ..scene import Actor, Layer, PoseTrack, Scene
 from ..transforms import flatten_scene, lost_far_out, lost_when_flattened
 from ._common import Format, check_finite, checked_gaussians
 from .compressed_ply import write_compressed
@@ -27,9 +30,9 @@ from .ply import read_ply, read_ply_scene, write_ply, write_ply_scene
 from .sog import read_sog
 from .sog_writer import write_sog
 from .spz import read_spz, write_spz
-from .usdz import lost_in_usdz, read_usdz, read_usdz_scene, write_usdz, write_usdz_scene
 
 _Contents = TypeVar("_Contents")
+_Member = TypeVar("_Member", Layer, Actor)
 
 FORMATS = (
     Format(
@@ -61,16 +64,6 @@ FORMATS = (
         read_scene=read_gltf_scene,
         write_scene=write_glb_scene,
         lost=lost_far_out,
-    ),
-    Format(
-        ".usdz",
-        read_usdz,
-        write_usdz,
-        "OpenUSD's `ParticleField3DGaussianSplat`, lossless; keeps layers, actors with tracks, the ego vehicle's track "
-        "and rigs, also as NuRec's JSON files",
-        read_scene=read_usdz_scene,
-        write_scene=write_usdz_scene,
-        lost=lost_in_usdz,
     ),
     Format(
         ".gltf", read_gltf, None, "the same as text, with its buffers in it or next to it", read_scene=read_gltf_scene
@@ -132,6 +125,7 @@ def _read_by(path: Path, read: Callable[[Format], _Contents]) -> _Contents:
         raise SceneFormatError(path, unknown_format(path))
     if path.exists() and not path.is_file():
         raise SceneFormatError(path, "not a file")
+    _check_packages(path, row)
     try:
         return read(row)
     except SceneFormatError as error:
@@ -158,13 +152,17 @@ def write_scene_file(scene: Scene, path: Path) -> None:
     if row is None or row.write_scene is None:
         write_gaussians(flatten_scene(scene), path)
         return
+    _check_packages(path, row)
     for member in scene.members:
         check_writable(path, member.gaussians, f" of {member.name!r}")
     _write_by(path, partial(row.write_scene, scene))
 
 
 def lost_in_file(scene: Scene, path: Path) -> list[str]:
-    """Phrases for what `write_scene_file` omits from a scene; empty if the file holds all of it."""
+    """Phrases for what `write_scene_file` omits from a scene; empty if the file holds all of it.
+
+    Raises `SceneFormatError` if the package of its format can't be used.
+    """
     row, lost = format_of(path), lost_when_flattened(scene)
     if row is None:
         return lost
@@ -173,7 +171,10 @@ def lost_in_file(scene: Scene, path: Path) -> list[str]:
         lost.append(f"how colors depend on the direction of view ({row.suffix} has no place for it)")
     elif highest > row.sh_degree:
         lost.append(f"harmonics above degree {row.sh_degree} ({row.suffix} has no place for them)")
-    return lost if row.lost is None else row.lost(lost)
+    try:
+        return lost if row.lost is None else row.lost(lost)
+    except ExtensionError as error:
+        raise SceneFormatError(path, str(error)) from error
 
 
 def _write_by(path: Path, write: Callable[[Path], None]) -> None:
@@ -188,13 +189,25 @@ def _write_by(path: Path, write: Callable[[Path], None]) -> None:
 
 
 def check_written_format(path: Path) -> Callable[[Gaussians, Path], None]:
-    """Return the writer for a file name. Raises `SceneFormatError` if it belongs to no writable format."""
+    """Return the writer for a file name.
+
+    Raises `SceneFormatError` if the name belongs to no writable format, or a package that the format needs is missing.
+    """
     row = format_of(path)
     if row is None or row.write is None:
         writable = _listed(writable_suffixes())
         reason = "can't be written" if row is None else f"{row.suffix} is read but not written"
         raise SceneFormatError(path, f"{reason}: the name must end in {writable}{_slip(path)}")
+    _check_packages(path, row)
     return row.write
+
+
+def _check_packages(path: Path, row: Format) -> None:
+    try:
+        for package in row.packages:
+            require_package(package, f"a {row.suffix} file")
+    except MissingPackageError as error:
+        raise SceneFormatError(path, str(error)) from None
 
 
 def check_writable(path: Path, gaussians: Gaussians, of: str = "") -> None:
@@ -263,22 +276,67 @@ def installed_format(path: Path) -> Format | None:
 
 
 def _guarded(extension: Extension, row: Format, suffix: str) -> Format:
-    """Wrap third-party functions: errors become one sentence, arrays are converted as in built-in readers."""
+    """Wrap third-party functions: errors become one sentence, contents are checked as those of built-in readers."""
     if row.suffix != suffix:
         raise extension.unfit(f"its suffix is {row.suffix!r}, its name asks for {suffix!r}")
 
     def read(path: Path) -> Gaussians:
         with _as_format_error(extension, path):
             found = extension.expect(row.read(path), Gaussians, "reads")
-        return checked_gaussians(path, *(np.array(each, np.float32, order="C") for each in found.arrays))
+        return _checked_gaussians(path, found)
 
+    read_scene = None if row.read_scene is None else partial(_scene_read, extension, row.read_scene)
     write = None if row.write is None else partial(_written, extension, row.write)
-    return row._replace(read=read, write=write, read_scene=None, write_scene=None, lost=None)
+    write_scene = None if row.write_scene is None else partial(_written, extension, row.write_scene)
+    lost = None if row.lost is None else partial(_lost, extension, row.lost)
+    return row._replace(read=read, write=write, read_scene=read_scene, write_scene=write_scene, lost=lost)
 
 
-def _written(extension: Extension, write: Callable[[Gaussians, Path], None], gaussians: Gaussians, path: Path) -> None:
+def _scene_read(extension: Extension, read: Callable[[Path], Scene], path: Path) -> Scene:
     with _as_format_error(extension, path):
-        write(gaussians, path)
+        found = extension.expect(read(path), Scene, "reads")
+    _check_placement(path, found)
+    layers = tuple(_checked_member(path, each) for each in found.layers)
+    return replace(found, layers=layers, actors=tuple(_checked_member(path, each) for each in found.actors))
+
+
+def _written(extension: Extension, write: Callable[[_Contents, Path], None], contents: _Contents, path: Path) -> None:
+    with _as_format_error(extension, path):
+        write(contents, path)
+
+
+def _lost(extension: Extension, lost: Callable[[list[str]], list[str]], phrases: list[str]) -> list[str]:
+    try:
+        return [str(each) for each in lost(phrases)]
+    except Exception as error:  # third-party code may raise anything
+        raise extension.unfit(error) from error
+
+
+def _checked_gaussians(path: Path, found: Gaussians) -> Gaussians:
+    arrays = (np.require(each, np.float32, ["C", "W"]) for each in found.arrays)  # large scenes have no room for copies
+    return replace(checked_gaussians(path, *arrays), antialiased=found.antialiased)
+
+
+def _checked_member(path: Path, member: _Member) -> _Member:
+    gaussians = _checked_gaussians(path, member.gaussians)
+    if len(gaussians) == len(member.gaussians):
+        return replace(member, gaussians=gaussians)
+    return replace(member, gaussians=gaussians, wet_sh=None, marks=UNMARKED, tree=None)  # which no longer fit
+
+
+def _check_placement(path: Path, scene: Scene) -> None:
+    """Raise `SceneFormatError` unless unit, transforms and tracks can be used."""
+    if not 0 < scene.metres_per_unit < np.inf:
+        raise SceneFormatError(path, f"its unit must be longer than 0 m, not {scene.metres_per_unit:g}")
+    for layer in scene.layers:
+        if not np.isfinite(layer.to_scene).all():
+            raise SceneFormatError(path, f"{layer.name}: its transform must consist of finite numbers")
+    tracks: list[tuple[str, PoseTrack]] = [(actor.id, actor.track) for actor in scene.actors]
+    tracks += [] if scene.ego is None else [("ego", scene.ego)]
+    for name, track in tracks:
+        arrays = track.times, track.positions, track.quaternions_wxyz
+        if not all(np.isfinite(each).all() for each in arrays) or not (np.diff(track.times) > 0).all():
+            raise SceneFormatError(path, f"{name}: its track must consist of finite numbers, at increasing times")
 
 
 @contextmanager

@@ -1,1 +1,1 @@
-"""Interoperation with other programs: HUGSIM, OpenSCENARIO, OpenDRIVE, ROS 2, Rerun."""
+"""Interoperation with other programs: HUGSIM."""

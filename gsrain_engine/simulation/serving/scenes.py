@@ -21,8 +21,8 @@ from ...render.renderer import Renderer
 from ...render.sky_color import SkyColor, sky_color
 from ...render.view import RenderView, ego_view
 from ...scene.camera import DEFAULT_EXPOSURE_S, Camera
-from ...scene.formats.nurec import logical_cameras
 from ...scene.geometry import quaternions_from_matrices
+from ...scene.recorded_drive import logical_cameras
 from ...scene.scene import PoseTrack, RigCamera, Scene
 from ...water.glass import CameraMotion
 

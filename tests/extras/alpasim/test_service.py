@@ -21,7 +21,6 @@ import gsrain as gr
 from grpc_clients import scene_with_car, status_of, wait_for
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import RainSimulation
-from gsrain_engine.scene.formats.nurec import nurec_files
 from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.scene.scene import Scene
 from gsrain_engine.simulation.serving.grpc_server import MAX_REQUEST_BYTES, RECEIVED_AT_ONCE
@@ -114,7 +113,7 @@ def with_car(request: Any, place: tuple[float, float, float]) -> Any:
 # What scenes have
 
 
-def test_scenes_cameras_and_drives_are_listed(client: Client, scene: Scene) -> None:
+def test_scenes_cameras_and_drives_are_listed(client: Client) -> None:
     assert [*client.call("get_available_scenes").scene_ids] == ["dry", "rainy"]
     assert {row.scene_id for row in client.call("get_loaded_scenes").scenes} == {"dry", "rainy"}
     assert client.call("get_version").version_id.startswith("gsrain")
@@ -128,9 +127,6 @@ def test_scenes_cameras_and_drives_are_listed(client: Client, scene: Scene) -> N
     poses = found.trajectory.poses
     assert [pose.timestamp_us for pose in poses] == [k * 1_000_000 for k in range(6)]
     assert (poses[3].pose.vec.x, poses[3].pose.vec.z) == (6, 0)
-    (drive,) = json.loads(nurec_files(scene)["rig_trajectories.json"])["rig_trajectories"]
-    assert drive["rig_bbox"]["dim"] == [4.6, 1.85, 1.5]  # without a box AlpaSim rejects the scene
-    assert drive["cameras_frame_timestamps_us"]["FRONT@gsrain"][0][0] == 1_000_000  # after a shutter could open
     asked, answered = health_messages()
     check = client.raw("Check", asked().SerializeToString(), HEALTH_SERVICE)
     assert answered.FromString(check).status == 1

@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
-from pxr import Usd, UsdGeom, UsdValidation
 from scipy.spatial import cKDTree
 
 from browser import CHROMIUM, Page, browser
@@ -26,13 +25,11 @@ from gsrain_engine.render.frame_input import FrameInput
 from gsrain_engine.render.view import RenderView
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.formats.registry import read_gaussians, write_gaussians
-from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from gsrain_engine.scene.gaussians import SH_C0, Gaussians
 from gsrain_engine.scene.geometry import matrices_from_quaternions, srgb_to_linear
 from gsrain_engine.scene.scene import Layer, Scene
 
 from .sample_files import sample_gaussians
-from .test_scene_folder import sample_scene
 
 
 def covariances(gaussians: Gaussians) -> np.ndarray:
@@ -208,7 +205,7 @@ def test_supersplat_shows_what_is_written(viewer_page: tuple[Page, str], viewer_
     assert 10 * np.log10(255**2 / np.mean((theirs - ours) ** 2)) > 33
 
 
-# glTF and OpenUSD
+# glTF
 
 
 def test_trimesh_reads_the_points_of_a_glb(tmp_path: Path) -> None:
@@ -219,54 +216,3 @@ def test_trimesh_reads_the_points_of_a_glb(tmp_path: Path) -> None:
     colors = srgb_to_linear((before.sh[:, 0] * SH_C0 + 0.5).clip(0, 1))
     np.testing.assert_allclose(cloud.colors[:, :3] / 255, colors, atol=0.51 / 255)
     np.testing.assert_allclose(cloud.colors[:, 3] / 255, before.opacities, atol=0.51 / 255)
-
-
-def test_usd_itself_finds_layers_tracks_and_cameras(tmp_path: Path) -> None:
-    scene = sample_scene()
-    scene = scene.with_member("actors/lead/1", visible=True)
-    write_scene(scene, tmp_path / "a.usdz")
-    stage = Usd.Stage.Open(str(tmp_path / "a.usdz"))
-    context = UsdValidation.ValidationContext(UsdValidation.ValidationRegistry().GetOrLoadAllValidators())
-    problems = [error for error in context.Validate(stage) if error.GetName() != "UnsupportedFileExtensionInPackage"]
-    assert not problems  # but for NuRec's JSON and YAML files
-    assert UsdGeom.GetStageUpAxis(stage) == "Z" and UsdGeom.GetStageMetersPerUnit(stage) == 1
-    (car,) = (actor for actor in scene.actors)
-    prim = stage.GetPrimAtPath("/World/actors/lead_1/gaussians")
-    assert prim.GetTypeName() == "ParticleField3DGaussianSplat"
-    np.testing.assert_array_equal(np.array(prim.GetAttribute("positions").Get()), car.gaussians.means)
-    for time_s in (0.0, 0.7, 1.4):
-        cache = UsdGeom.XformCache(stage.GetTimeCodesPerSecond() * time_s)
-        pose = car.pose_at(time_s)
-        assert pose is not None
-        np.testing.assert_allclose(
-            np.array(cache.GetLocalToWorldTransform(prim)).T, scene.scene_to_world @ pose, atol=1e-9
-        )
-    camera = UsdGeom.Camera.Get(stage, "/World/ego/waymo/FRONT").GetCamera()
-    film_m, focal_m = camera.horizontalAperture * camera.APERTURE_UNIT, camera.focalLength * camera.FOCAL_LENGTH_UNIT
-    np.testing.assert_allclose([film_m, focal_m], [0.036, 0.036 * 2059 / 1920], rtol=1e-6)
-    right = np.array(camera.frustum.ComputeProjectionMatrix())
-    np.testing.assert_allclose([right[0, 0], right[1, 1]], [2 * 2059 / 1920, 2 * 2058.5 / 1280], rtol=1e-6)
-    # The principal point is 3 px left of the middle.
-    np.testing.assert_allclose(right[2, :2], [2 * 3 / 1920, 0], atol=1e-6)
-
-
-def test_a_scene_comes_back_from_usdz(tmp_path: Path) -> None:
-    before = sample_scene().with_member("actors/lead/1", visible=True).with_member("layers/sky", visible=True)
-    for path in (tmp_path / "a.usdz", tmp_path / "b.usdz"):
-        write_scene(before, path)
-    assert (tmp_path / "a.usdz").read_bytes() == (tmp_path / "b.usdz").read_bytes()
-    after = read_scene((tmp_path / "a.usdz").rename(tmp_path / "last.usdz"))
-    assert after.name == before.name  # by which AlpaSim asks for it, whatever its file's name
-    assert [(layer.name, layer.kind) for layer in after.layers] == [("road & kerb", "background"), ("sky", "sky")]
-    assert [actor.id for actor in after.actors] == ["lead/1"] and after.metres_per_unit == 1
-    for time_s in (0.0, 0.7, 2.0):
-        for was, found in zip(before.parts(time_s), after.parts(time_s), strict=True):
-            np.testing.assert_allclose(found.to_world @ np.diag([1, 1, 1, 1.0]), found.to_world)
-            middles = [part.remaining.means @ part.to_world[:3, :3].T + part.to_world[:3, 3] for part in (was, found)]
-            np.testing.assert_allclose(middles[1], middles[0], rtol=1e-5, atol=1e-5)
-        for now in (before, after):
-            assert now.ego_to_world(time_s) is not None
-        np.testing.assert_allclose(after.ego_to_world(time_s), before.ego_to_world(time_s), atol=1e-9)
-    for was, found in zip(before.rigs["waymo"], after.rigs["waymo"], strict=True):
-        np.testing.assert_allclose(found.camera_to_ego, was.camera_to_ego, atol=1e-9)
-        assert (found.name, found.width, found.fx, found.exposure_s) == (was.name, was.width, was.fx, was.exposure_s)

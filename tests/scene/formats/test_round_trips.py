@@ -123,7 +123,7 @@ def test_gaussians_come_back(
     np.testing.assert_allclose(after.sh[:, 1:], before.sh[:, 1 : after.sh.shape[1]], atol=row.rest)
 
 
-@pytest.mark.parametrize("suffix", [".ply", ".spz", ".compressed.ply", ".sog", ".glb", ".usdz"])
+@pytest.mark.parametrize("suffix", [".ply", ".spz", ".compressed.ply", ".sog", ".glb"])
 def test_files_tell_antialiased_gaussians_from_others(suffix: str, tmp_path: Path) -> None:
     path = tmp_path / f"a{suffix}"
     for antialiased in (True, False):

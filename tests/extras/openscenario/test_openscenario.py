@@ -1,5 +1,6 @@
 """OpenSCENARIO XML: valid against its schema, moves as written when read back, and files of others."""
 
+import sys
 from importlib import resources
 from pathlib import Path
 from xml.etree import ElementTree
@@ -9,12 +10,14 @@ import numpy as np
 import pytest
 import xmlschema
 
+from app.main import BAD_INPUT, run
 from curved_scene import RADIUS_M, curved_scene
-from gsrain_engine.simulation.interop.openscenario_write import write_openscenario
+from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.simulation.scenario import Scenario
-from gsrain_engine.simulation.scenario_io import load_scenario
+from gsrain_engine.simulation.scenario_io import load_scenario, save_scenario
 from gsrain_engine.simulation.simulation import Simulation
 from gsrain_engine.simulation.vehicle import Control, VehicleState
+from gsrain_extras.openscenario.writer import write_openscenario
 from simulation.small_drive import scene_with_box
 from small_scene import small_scene
 
@@ -262,3 +265,39 @@ def test_other_files_are_refused_and_entities_are_not_expanded(tmp_path, text):
     named = {BOMB: "a document type", "<OpenSCENARIO/>": ".*Storyboard", "<Catalog/>": ".*Storyboard"}
     with pytest.raises(ValueError, match=f"none.xosc: {named.get(text, '')}"):
         load_scenario(path)
+
+
+# The command
+
+
+@pytest.fixture
+def standing(tmp_path):
+    """Return a scenario file whose scene is small."""
+    write_scene(small_scene(), tmp_path / "scene")
+    save_scenario(scenario(scene=str(tmp_path / "scene"), road_users=[], duration_s=1.0), tmp_path / "standing.yaml")
+    return tmp_path / "standing.yaml"
+
+
+def test_drives_are_exported_with_their_road_and_read_back(standing, tmp_path, capsys):
+    options = ["--agent", "constant-velocity", "--no-video", "-o", str(tmp_path / "out")]
+    assert run(["drive", str(standing), "--export", "xosc", *options]) == 0
+    printed = [line.strip() for line in capsys.readouterr().out.splitlines()]
+    (file,) = (tmp_path / "out").glob("*.xosc")
+    assert file.name in printed and file.with_suffix(".xodr").name in printed
+    assert file.with_suffix(".xodr").name in file.read_text()
+    again = load_scenario(file)
+    assert (again.speed_m_s, again.rain.intensity_mm_h, again.duration_s) == (5.0, 8.5, 1.0)
+    assert run(["drive", str(file), *options]) == 0
+
+
+def test_without_its_package_nothing_is_driven(standing, tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "scenariogeneration", None)
+    assert run(["drive", str(standing), "--export", "xosc", "-o", str(tmp_path / "out")]) == BAD_INPUT
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("gsrain: --export xosc needs scenariogeneration, which is not installed: ")
+    assert line.endswith("'gsrain[drive]'") and not (tmp_path / "out").exists()
+
+
+def test_the_reader_needs_no_package(written, monkeypatch):
+    monkeypatch.setitem(sys.modules, "scenariogeneration", None)
+    assert load_scenario(written).speed_m_s == 5.0

@@ -1,15 +1,16 @@
 """Roll-outs as Rerun recordings: what stands in the file, and when."""
 
+import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from app.main import run
+from app.main import BAD_INPUT, run
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.simulation.geometry import Route
-from gsrain_engine.simulation.interop.rerun_file import MOST_POINTS, scene_points, write_rollout_rerun
 from gsrain_engine.simulation.rollout import CameraImage
+from gsrain_extras.rerun.recording import MOST_POINTS, scene_points, write_rollout_rerun
 from small_rollout import approach
 from small_scene import small_scene
 
@@ -54,3 +55,13 @@ def test_recording(tmp_path):
     with pytest.raises(ValueError, match="picture of step"):
         write_rollout_rerun(tmp_path / "bad.rrd", rollout, pictures=[pictures[1], pictures[0]])
     assert [each.name for each in tmp_path.iterdir()] == ["run.rrd"]
+
+
+@pytest.mark.parametrize("asked", [["--rerun", "{folder}/a.rrd"], ["--export", "rerun"]])
+def test_without_its_package_nothing_is_driven(asked, tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    words = [each.format(folder=tmp_path) for each in asked]
+    assert run(["drive", *words, "-o", str(tmp_path / "out")]) == BAD_INPUT
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"gsrain: {asked[0]}") and "needs rerun-sdk, which is not installed: " in line
+    assert line.endswith("'gsrain[rerun]'") and not list(tmp_path.iterdir())

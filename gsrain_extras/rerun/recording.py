@@ -11,13 +11,15 @@ import numpy as np
 import scipy
 from jaxtyping import Float32, Float64, Int64, UInt8
 
-from ...optional_packages import import_package
-from ...safe_io.files import whole_file
-from ...scene.gaussians import SH_C0
-from ...scene.scene import Scene
-from ..geometry import Route
-from ..metrics.collisions import gaps_m, times_to_collision_s
-from ..rollout import CameraImage, Rollout, RolloutStep
+from gsrain_engine.optional_packages import import_package
+from gsrain_engine.safe_io.files import whole_file
+from gsrain_engine.scene.gaussians import SH_C0
+from gsrain_engine.scene.scene import Scene
+from gsrain_engine.simulation.drive_exports import DriveExport, FinishedDrive
+from gsrain_engine.simulation.geometry import Route
+from gsrain_engine.simulation.ground import recorded_route
+from gsrain_engine.simulation.metrics.collisions import gaps_m, times_to_collision_s
+from gsrain_engine.simulation.rollout import CameraImage, Rollout, RolloutStep
 
 MOST_POINTS = 150_000
 """Points that stand for a scene: its Gaussians near the drive with the most visible area."""
@@ -200,3 +202,10 @@ def scene_points(
     rgba = np.concatenate([colors, np.full((len(colors), 1), 255, np.uint8)], axis=1)
     radii = np.minimum(np.sqrt(scales[chosen, 1] * scales[chosen, 2]), _MAX_RADIUS_M).astype(np.float32)
     return means[chosen].astype(np.float32), rgba, radii
+
+
+def _export(drive: FinishedDrive, path: Path) -> None:
+    write_rollout_rerun(path, drive.rollout, drive.scene, recorded_route(drive.scene), drive.camera_images())
+
+
+EXPORT = DriveExport((".rrd",), _export, packages=("rerun",), cameras="front")

@@ -10,11 +10,11 @@ from xml.etree.ElementTree import Element
 import msgspec
 import numpy as np
 
-from ...safe_io.errors import convert_checked
-from ...safe_io.text_files import printable_line, read_whole
-from ..geometry import wrap_degrees
-from ..scenario import Scenario
-from ..vehicle import Vehicle, VehicleState
+from gsrain_engine.safe_io.errors import convert_checked
+from gsrain_engine.safe_io.text_files import printable_line, read_whole
+from gsrain_engine.simulation.geometry import wrap_degrees
+from gsrain_engine.simulation.scenario import Scenario
+from gsrain_engine.simulation.vehicle import Vehicle, VehicleState
 
 
 def read_openscenario(path: Path) -> Scenario:

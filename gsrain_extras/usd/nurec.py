@@ -6,7 +6,6 @@ camera models. AlpaSim's rig has its origin on the ground, x forward, y left, z 
 
 import hashlib
 import re
-from collections import Counter
 from typing import Any
 
 import msgspec
@@ -14,17 +13,21 @@ import numpy as np
 import yaml
 from jaxtyping import Float64
 
-from ..geometry import quaternions_from_matrices
-from ..scene import Actor, PoseTrack, RigCamera, Scene
+from gsrain_engine.scene.geometry import quaternions_from_matrices
+from gsrain_engine.scene.recorded_drive import (
+    MICROSECONDS,
+    logical_cameras,
+    scene_id,
+    sensor_height_m,
+    timestamps_us,
+)
+from gsrain_engine.scene.scene import Actor, PoseTrack, RigCamera, Scene
 
 METADATA = "metadata.yaml"
 _NAME = re.compile(r"[\w.:-][\w .:-]{0,199}")  # of a scene, as a file may state it
-_SENSOR_HEIGHT_M = 1.5  # of the ego frame above the ground, in scenes that don't state their ground's height
 _BOX_LWH_M = [4.6, 1.85, 1.5]  # of the ego vehicle: the default of `simulation.vehicle.Vehicle`
 _BOX_CENTER_M = [1.3, 0.0, 0.75]  # from its rig, on the ground below the rear axle
-_LOWEST_M, _HIGHEST_M = 0.2, 4.0
 _SEQUENCE = "gsrain"
-_MICROSECONDS = 1_000_000
 _LEAD_US = 100_000  # of the drive before its first picture, as AlpaSim's shutters may open before a frame begins
 
 
@@ -37,7 +40,7 @@ def nurec_files(scene: Scene) -> dict[str, bytes]:
     down = np.eye(4)
     down[2, 3] = -sensor_height_m(scene)
     poses = [pose @ down for pose in _poses(scene.ego.moved(scene.scene_to_world))]
-    exposure_us = max(1, round(_MICROSECONDS * _exposure_s(cameras)))
+    exposure_us = max(1, round(MICROSECONDS * _exposure_s(cameras)))
     after = [time for time in times if time - times[0] >= _LEAD_US]
     frames = [[time, time + exposure_us] for time in after or times]
     rig = {
@@ -75,11 +78,6 @@ def nurec_files(scene: Scene) -> dict[str, bytes]:
     return {METADATA: text, "rig_trajectories.json": encoded, "sequence_tracks.json": tracks}
 
 
-def scene_id(scene: Scene) -> str:
-    """Name by which a simulator asks for a scene."""
-    return scene.name or "scene"
-
-
 def scene_id_in(metadata: bytes) -> str | None:
     """Name of a scene that `metadata.yaml` states; None if it states none that can be one."""
     try:
@@ -88,31 +86,6 @@ def scene_id_in(metadata: bytes) -> str | None:
         return None
     name = found.get("scene_id") if isinstance(found, dict) else None
     return name if isinstance(name, str) and _NAME.fullmatch(name) else None
-
-
-def logical_cameras(scene: Scene) -> dict[str, RigCamera]:
-    """Cameras of all rigs by name; by "RIG/NAME" where rigs share one."""
-    named = [(rig, camera) for rig, cameras in scene.rigs.items() for camera in cameras]
-    counts = Counter(camera.name for _, camera in named)
-    return {camera.name if counts[camera.name] == 1 else f"{rig}/{camera.name}": camera for rig, camera in named}
-
-
-def start_s(scene: Scene) -> float:
-    """Scene time at microsecond 0, whose numbers have no sign: the earliest time, or 0 if none is before it."""
-    tracks = [each.track for each in scene.actors] + ([scene.ego] if scene.ego is not None else [])
-    return min([0.0, *(float(track.times[0]) for track in tracks if len(track.times))])
-
-
-def timestamps_us(track: PoseTrack, scene: Scene) -> list[int]:
-    """Times of a track in microseconds after `start_s`."""
-    return [round((time - start_s(scene)) * _MICROSECONDS) for time in track.times.tolist()]
-
-
-def sensor_height_m(scene: Scene) -> float:
-    """Height of the ego frame's origin above the ground."""
-    first = scene.ego_to_world(float(scene.ego.times[0])) if scene.ego is not None and len(scene.ego.times) else None
-    height = _SENSOR_HEIGHT_M if first is None or scene.ground_m is None else float(first[2, 3]) - scene.ground_m
-    return height if _LOWEST_M < height < _HIGHEST_M else _SENSOR_HEIGHT_M
 
 
 def _poses(track: PoseTrack) -> list[Float64[np.ndarray, "4 4"]]:

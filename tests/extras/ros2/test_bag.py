@@ -1,14 +1,18 @@
 """Roll-outs as bags of ROS 2: read by rosbags, and as a capture by our own reader."""
 
+import sys
+
 import numpy as np
 import pytest
 
+from app.main import BAD_INPUT, run
 from gsrain_engine.datasets.capture import LidarSweep
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.evaluation.lidar.scan import RainyScan
 from gsrain_engine.scene.camera import Camera
-from gsrain_engine.simulation.interop.ros2_bag import LidarTurnInRain, write_rollout_bag
+from gsrain_engine.simulation.lidar_turns import LidarTurnInRain
 from gsrain_engine.simulation.rollout import CameraImage
+from gsrain_extras.ros2.bag import write_rollout_bag
 from small_rollout import approach
 
 rosbags = pytest.importorskip("rosbags.highlevel")
@@ -79,3 +83,11 @@ def test_a_picture_without_a_step_is_refused_and_nothing_is_left(tmp_path):
     with pytest.raises(ValueError, match="picture of step 99: expected one of 0..2"):
         write_rollout_bag(tmp_path / "run.ros2", run, [lost])
     assert not (tmp_path / "run.ros2").exists()
+
+
+def test_without_its_package_nothing_is_driven(tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "rosbags", None)
+    assert run(["drive", "--export", "ros2", "-o", str(tmp_path / "out")]) == BAD_INPUT
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("gsrain: --export ros2 needs rosbags, which is not installed: ")
+    assert line.endswith("'gsrain[recordings]'") and not list(tmp_path.iterdir())

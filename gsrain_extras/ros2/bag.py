@@ -6,17 +6,18 @@ Facts: the .msg files of github.com/ros2/common_interfaces, ros2/geometry2 and r
 import shutil
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
 from jaxtyping import Float32, Float64
 from scipy.spatial.transform import Rotation
 
-from ...evaluation.lidar.scan import RainyScan
-from ...optional_packages import require_package
-from ...safe_io.files import whole_folder
-from ..rollout import CameraImage, Rollout, RolloutStep, UserModel, UserRecord
+from gsrain_engine.optional_packages import require_package
+from gsrain_engine.safe_io.files import whole_folder
+from gsrain_engine.simulation.drive_exports import DriveExport, FinishedDrive
+from gsrain_engine.simulation.lidar_turns import LidarTurnInRain, ego_pose, upright_pose
+from gsrain_engine.simulation.rollout import CameraImage, Rollout, RolloutStep, UserModel, UserRecord
 
 MAP, VEHICLE, LIDAR = "map", "base_link", "lidar"
 """Frames: the scene's world; the ego vehicle on the ground below its rear axle; the lidar's."""
@@ -35,14 +36,6 @@ _VISION = {
     "vision_msgs/msg/Detection3DArray": "std_msgs/Header header\nvision_msgs/Detection3D[] detections\n",
 }
 """Types that are not among those that ROS 2 comes with."""
-
-
-class LidarTurnInRain(NamedTuple):
-    """Virtual lidar of a step: its output, and the sensor's pose (x forward, y left, z up) in the world."""
-
-    step: int
-    scan: RainyScan
-    sensor_to_world: Float64[np.ndarray, "4 4"]
 
 
 def write_rollout_bag(
@@ -251,21 +244,9 @@ class _BagWriter:
         )  # fmt: skip
 
 
-def ego_pose(step: RolloutStep) -> Float64[np.ndarray, "4 4"]:
-    """Pose of the vehicle's frame in the world."""
-    return _upright(step.ego.x_m, step.ego.y_m, step.ego.z_m, step.ego.yaw_rad)
-
-
 def user_pose(user: UserRecord, model: UserModel) -> Float64[np.ndarray, "4 4"]:
     """Pose of the center of a road user's box in the world."""
-    return _upright(user.x_m, user.y_m, user.z_m + model.size_lwh_m[2] / 2, user.yaw_rad)
-
-
-def _upright(x: float, y: float, z: float, yaw_rad: float) -> Float64[np.ndarray, "4 4"]:
-    pose = np.eye(4)
-    pose[:3, :3] = Rotation.from_euler("z", yaw_rad).as_matrix()
-    pose[:3, 3] = (x, y, z)
-    return pose
+    return upright_pose(user.x_m, user.y_m, user.z_m + model.size_lwh_m[2] / 2, user.yaw_rad)
 
 
 def _latched_qos() -> Any:
@@ -284,3 +265,10 @@ def _latched_qos() -> Any:
         QosHistory.KEEP_LAST, 1, QosReliability.RELIABLE, QosDurability.TRANSIENT_LOCAL, forever, forever,
         QosLiveliness.AUTOMATIC, forever, False,
     )  # fmt: skip
+
+
+def _export(drive: FinishedDrive, path: Path) -> None:
+    write_rollout_bag(path, drive.rollout, drive.camera_images(), drive.lidar_turns())
+
+
+EXPORT = DriveExport((".ros2",), _export, packages=("rosbags",), is_folder=True, cameras="all", lidar=True)

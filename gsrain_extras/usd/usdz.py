@@ -22,16 +22,16 @@ import numpy as np
 import psutil
 from jaxtyping import Float32, Float64
 
-from ...optional_packages import MissingPackageError, require_package
-from ...safe_io.errors import SceneFormatError
-from ...safe_io.limits import address_space_bytes, read_file, reading_deadline
-from ..gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
-from ..geometry import quaternions_from_matrices
-from ..scene import Actor, Layer, PoseTrack, RigCamera, Scene, is_sky
-from ..transforms import FILE_UP, bake_item, flatten_scene, lost_far_out, transform_gaussians
-from ._common import check_room, checked_gaussians
+from gsrain_engine.safe_io.errors import SceneFormatError
+from gsrain_engine.safe_io.limits import address_space_bytes, read_file, reading_deadline
+from gsrain_engine.scene.formats import Format, check_room, checked_gaussians
+from gsrain_engine.scene.formats.stored_zip import open_zip, read_member, write_stored_zip
+from gsrain_engine.scene.gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
+from gsrain_engine.scene.geometry import quaternions_from_matrices
+from gsrain_engine.scene.scene import Actor, Layer, PoseTrack, RigCamera, Scene, is_sky
+from gsrain_engine.scene.transforms import FILE_UP, bake_item, flatten_scene, lost_far_out, transform_gaussians
+
 from .nurec import METADATA, nurec_files, scene_id_in
-from .stored_zip import open_zip, read_member, write_stored_zip
 from .usd_stage import ARRAYS, RESULT, pxr_module, read_stage
 
 _LAYER_SUFFIXES = (".usd", ".usda", ".usdc")
@@ -61,10 +61,6 @@ def read_usdz_scene(path: Path) -> Scene:
 
     Raises `SceneFormatError` if the file is damaged, has no Gaussians, or refers to files outside of it.
     """
-    try:
-        require_package("pxr", "a .usdz file")
-    except MissingPackageError as error:
-        raise SceneFormatError(path, str(error)) from None
     data = read_file(path)
     with tempfile.TemporaryDirectory(prefix="gsrain-usdz-") as folder:
         root = _unpack(path, data, Path(folder) / "stage")
@@ -249,7 +245,6 @@ def write_usdz_scene(scene: Scene, path: Path) -> None:
 
     Opacity and grading are baked into the Gaussians, wet colors are left out.
     """
-    require_package("pxr", "a .usdz file")
     end = f".{secrets.token_hex(4)}.part"  # as of all partial files: removed if this process is killed
     with tempfile.TemporaryDirectory(prefix=".usdz-", suffix=end, dir=path.parent) as folder:
         root = Path(folder) / _ROOT
@@ -403,3 +398,16 @@ def lost_in_usdz(lost: list[str]) -> list[str]:
     lost = lost_far_out(lost)
     kept = ("ego vehicle", "rig camera", "the division into", "which layer is the sky", "actor")
     return [phrase for phrase in lost if "hidden" in phrase or not any(word in phrase for word in kept)]
+
+
+FORMAT = Format(
+    ".usdz",
+    read_usdz,
+    write_usdz,
+    "OpenUSD's `ParticleField3DGaussianSplat`, lossless; keeps layers, actors with tracks, the ego vehicle's track "
+    "and rigs, also as NuRec's JSON files",
+    read_scene=read_usdz_scene,
+    write_scene=write_usdz_scene,
+    lost=lost_in_usdz,
+    packages=("pxr",),
+)

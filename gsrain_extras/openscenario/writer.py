@@ -11,20 +11,21 @@ import numpy as np
 import shapely
 from jaxtyping import Float64
 
-from ...optional_packages import MissingPackageError, missing_package
-from ...rain.calibration import load_calibration
-from ...rain.properties import rain_properties
-from ...rain.settings import RainSettings
-from ...rain.wetness import water_depth_mm
-from ...safe_io.files import whole_file
-from ...scene.objects import coco_class
-from ...scene.scene import Scene
-from ..ground import recorded_route, road_surface_of
-from ..scenario import Scenario, ScenarioUser, Traffic, start_state
-from ..traffic.base import RoadUser, ego_user, gap_between
-from ..traffic.settings import Brake, CutIn, Triggered
-from ..vehicle import Vehicle
-from .openscenario_read import EGO, LANE_M, OWN_FIELDS, PROPERTY
+from gsrain_engine.optional_packages import MissingPackageError, missing_package
+from gsrain_engine.rain.calibration import load_calibration
+from gsrain_engine.rain.properties import rain_properties
+from gsrain_engine.rain.settings import RainSettings
+from gsrain_engine.rain.wetness import water_depth_mm
+from gsrain_engine.safe_io.files import whole_file
+from gsrain_engine.scene.objects import coco_class
+from gsrain_engine.scene.scene import Scene
+from gsrain_engine.simulation.ground import recorded_route, road_surface_of
+from gsrain_engine.simulation.scenario import Scenario, ScenarioUser, Traffic, start_state
+from gsrain_engine.simulation.traffic.base import RoadUser, ego_user, gap_between
+from gsrain_engine.simulation.traffic.settings import Brake, CutIn, Triggered
+from gsrain_engine.simulation.vehicle import Vehicle
+
+from .reader import EGO, LANE_M, OWN_FIELDS, PROPERTY
 
 try:
     from scenariogeneration import xodr, xosc

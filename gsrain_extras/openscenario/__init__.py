@@ -1,0 +1,1 @@
+"""Scenarios as OpenSCENARIO XML: read, and written with an OpenDRIVE road."""

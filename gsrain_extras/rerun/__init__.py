@@ -1,0 +1,1 @@
+"""Drives as Rerun recordings."""
