@@ -34,7 +34,7 @@ class SharedCacheLocator(caching.UserProvidedCacheLocator):
     def __init__(self, py_func: Any, py_file: str) -> None:
         super().__init__(py_func, py_file)
         own = Path(py_file).resolve().relative_to(_PROGRAM).parent
-        self._cache_path = str(Path(config.CACHE_DIR, *own.parts))
+        self._cache_path = str(Path(_CONFIG.CACHE_DIR, *own.parts))
 
     @classmethod
     def from_function(cls, py_func: Any, py_file: str) -> Any:
@@ -43,11 +43,12 @@ class SharedCacheLocator(caching.UserProvidedCacheLocator):
         return super().from_function(py_func, py_file)
 
 
+_CONFIG: Any = config  # its names are made at run time
 _PROGRAM = Path(__file__).resolve().parent
-if not config.CACHE_LOCATOR_CLASSES:  # chosen by the user, by a variable of the environment
+if not _CONFIG.CACHE_LOCATOR_CLASSES:  # chosen by the user, by a variable of the environment
     _LOCATORS = "UserProvided", "InTree", "UserWide", "IPython", "Zip"
     _NAMES = f"{__name__}.{SharedCacheLocator.__name__}", *(f"{each}CacheLocator" for each in _LOCATORS)
-    config.CACHE_LOCATOR_CLASSES = ",".join(_NAMES)
+    _CONFIG.CACHE_LOCATOR_CLASSES = ",".join(_NAMES)
 
 
 class CompilationReport(event.Listener):
