@@ -16,8 +16,9 @@ import yaml
 from cyclopts import App
 from msgspec import Meta
 
-from app.main import app, benchmarks, evaluations, installed_evaluations, run
+from app.main import app, benchmarks, evaluations, installed, run
 from app.schema import SETTINGS, Kind, settings_type
+from gsrain_engine import plugins
 from gsrain_engine.disdrometer.tables import TableColumns
 from gsrain_engine.fields import Field, field_of, fields_of, option_names, structs_of
 from gsrain_engine.presets import shipped_path
@@ -88,7 +89,7 @@ def test_a_new_setting_is_one_line(tmp_path):
 def commands():
     for name in SHELL_COMMANDS:
         yield name, app[name]
-    with installed_evaluations():
+    with installed(evaluations, plugins.EVALUATIONS):
         for group, apps in (("bench", benchmarks), ("evaluate", evaluations)):
             yield from ((f"{group} {name}", apps[name]) for name in apps if not name.startswith("-"))
 

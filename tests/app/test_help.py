@@ -7,8 +7,9 @@ import sys
 import pytest
 from cyclopts import App
 
-from app.main import app, installed_evaluations, options_in_help, run
+from app.main import app, evaluations, installed, options_in_help, run
 from app.options import TOPICS, all_listed
+from gsrain_engine import plugins
 from gsrain_engine.choices import FACTORS, READ_FORMATS, WRITTEN_FORMATS
 from gsrain_engine.evaluation.attribution.factors import factor_names
 from gsrain_engine.scene.formats.registry import FORMATS
@@ -25,13 +26,13 @@ def commands(parent: App = app, words: tuple[str, ...] = ()):
             yield from commands(parent[name], (*words, name))
 
 
-with installed_evaluations():
+with installed(app, plugins.COMMANDS), installed(evaluations, plugins.EVALUATIONS):
     COMMANDS = [(), *commands()]
 
 
 @pytest.fixture(autouse=True)
-def _with_installed_evaluations():
-    with installed_evaluations():
+def _with_installed_commands():
+    with installed(app, plugins.COMMANDS), installed(evaluations, plugins.EVALUATIONS):
         yield
 
 
