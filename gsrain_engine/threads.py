@@ -12,8 +12,7 @@ _VARIABLES = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "M
 WORKER_NICENESS = 10
 """Priority of workers below the window, as `os.nice` counts: each step is a quarter less of a contested core.
 
-A worker beside a window that plays on all cores gets 2 parts of them in 10, so that both go on: with 10, the usual
-niceness of background work, it would be 1 part in 10, and minutes without progress (docs/performance.md).
+A worker beside a window that plays on all cores gets 1 part of them in 10.
 """
 
 PICTURE_NICENESS = 1
