@@ -16,9 +16,9 @@ from gsrain_engine.scene.geometry import srgb_to_linear
 from gsrain_engine.scene.labels import Label
 from gsrain_engine.scene.rig import rig_camera
 from gsrain_engine.scene.skies import overcast_luminance, overcast_share, overcast_sky_display, sky_display
-from gsrain_engine.simulation.traffic.appearance import built_in_vehicle
 from gsrain_extras.street.build import quads_to_gaussians
 from gsrain_extras.street.lighting import canyon_share
+from gsrain_extras.street.models import LIBRARY
 from gsrain_extras.street.wet_surfaces import puddles, reflecting, wet_materials
 
 from .built_street import SHORT, street_of, surfaces_of
@@ -252,7 +252,7 @@ def test_the_overcast_twin_is_the_rain_without_drops_and_medium(street):
 
 
 def test_vehicles_of_the_traffic_get_wet_with_lit_lamps():
-    model = built_in_vehicle("saloon")
+    model = LIBRARY.build("saloon", "", "day")
     assert model is not None and model.wet_sh is not None
     assert model.wet_sh.shape == model.gaussians.sh.shape
     clear, wet = (np.clip(sh[:, 0] * SH_C0 + 0.5, 0, 1) for sh in (model.gaussians.sh, model.wet_sh))
