@@ -64,7 +64,9 @@ def _has_street() -> bool:
 
 
 def pytest_runtest_setup(item):
-    if item.get_closest_marker("street") and not _has_street():
+    parameters = item.callspec.params.values() if hasattr(item, "callspec") else ()
+    is_of_street = any(str(each).startswith("street") for each in parameters)  # its command, or its scenes
+    if (is_of_street or item.get_closest_marker("street")) and not _has_street():
         pytest.skip(_NEEDS_STREET)
 
 

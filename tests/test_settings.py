@@ -81,7 +81,7 @@ def test_a_new_setting_is_one_line(tmp_path):
     done = subprocess.run(
         [sys.executable, "-c", WITH_CHANGED_FILE, str(changed), str(REPOSITORY)],
         check=False, capture_output=True, text=True,
-        env=os.environ | {"PYTHONPATH": f"{REPOSITORY}{os.pathsep}{REPOSITORY / 'tests'}", "COLUMNS": "200"},
+        env=os.environ | {"PYTHONPATH": os.pathsep.join([*sys.path, str(REPOSITORY)]), "COLUMNS": "200"},
     )  # fmt: skip
     assert "found in all" in done.stdout, done.stderr[-3000:]
 

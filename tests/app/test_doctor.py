@@ -228,6 +228,7 @@ def older_numpy(monkeypatch):
     monkeypatch.setattr(doctor.metadata, "distributions", lambda: packages)
 
 
+@pytest.mark.street
 def test_a_package_of_another_version_comes_with_what_limits_it(older_numpy, monkeypatch, capsys):
     _, found, what = doctor.find_requirements()
     assert not found and "numpy 1.26.4" in what and "nuscenes-devkit (numpy<2.0.0,>=1.22.0)" in what

@@ -182,6 +182,7 @@ def test_pictures_of_a_folder_by_a_coco_file(detector, tmp_path, reported, capsy
     assert "red has no word for sign (1)" in capsys.readouterr().err
 
 
+@pytest.mark.street
 def test_all_missing_files_are_named_before_any_work(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     command = ["evaluate", "detection", "street", "--detector", "a.onnx", "--detector", "b.onnx", "--capture", "drive"]

@@ -1,6 +1,5 @@
 """`gsrain info`, `convert` and `street`."""
 
-import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -122,20 +121,6 @@ def test_convert_computes_wet_colors_if_asked_to(tmp_path):
     for name, share in (("soaked.ply", 1.0), ("half.ply", 0.5)):
         found = read_scene(tmp_path / name).layers[0].gaussians.sh
         np.testing.assert_allclose(found, blend_wet_sh(clear, soaked, share), atol=1e-5)
-
-
-def test_street_writes_scene_and_photographs(tmp_path, reported):
-    numbers = reported("street", tmp_path / "town", "--moments", "1", "--width", "96")
-    scene = read_scene(tmp_path / "town" / "scene")
-    assert 1_000_000 <= scene.gaussian_count == numbers["gaussians"] <= 1_200_000
-    assert set(scene.rigs) == {"waymo_front3", "nuscenes"}
-    images = tmp_path / "town" / "images"
-    cameras = json.loads((images / "cameras.json").read_text())
-    assert len(cameras) == numbers["views"] == 3
-    depth = np.load(images / f"{cameras[0]['name']}.depth.npy")
-    labels = np.asarray(Image.open(images / f"{cameras[0]['name']}.labels.png"))
-    assert depth.shape == labels.shape == (64, 96)
-    assert len(np.unique(labels)) >= 4
 
 
 @pytest.fixture

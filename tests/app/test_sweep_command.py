@@ -116,6 +116,7 @@ class _Terminal(io.StringIO):
         return True
 
 
+@pytest.mark.street
 def test_code_that_a_sweep_names_runs_only_when_it_is_allowed(sweep, tmp_path, capsys, monkeypatch):
     (tmp_path / "mine.py").write_text(_DRIVER)
     sweep.write_text(sweep.read_text().replace("[constant-velocity, oracle-idm]", "['mine.py:Mine']"))

@@ -153,6 +153,7 @@ def test_a_rollout_of_another_scene_has_plots_but_no_picture(editor, player, tmp
     assert player.playing.metrics.collided_with == "lead"
 
 
+@pytest.mark.street
 def test_the_edited_scene_is_driven_through_in_a_worker_and_the_drive_is_opened(editor):
     player, history = editor.rollouts, editor.document.history
     editor.document.change_rain("Rain", intensity_mm_h=4.0)

@@ -361,7 +361,7 @@ def test_the_end_waits_for_a_job_and_takes_its_result_in(editor):
     assert editor.should_quit and editor.status.question is None
 
 
-@pytest.mark.parametrize("go", ["open", "close", "revert"])
+@pytest.mark.parametrize("go", [pytest.param("open", marks=pytest.mark.street), "close", "revert"])
 def test_another_document_asks_about_jobs_that_end_with_this_one(editor, go):
     files = editor.files
     to_another = {"open": lambda: files.open("street"), "close": files.close_scene, "revert": files.revert}[go]
