@@ -9,11 +9,18 @@ from pathlib import Path
 
 
 def write_metadata(folder: Path, checkout: Path) -> None:
-    """Write name, version and entry points of the program."""
+    """Write name, version, requirements and entry points of the program."""
     project = tomllib.loads((checkout / "pyproject.toml").read_text("utf-8"))["project"]
     info = folder / f"{project['name']}-{project['version']}.dist-info"
     info.mkdir(parents=True, exist_ok=True)
+    needed = [each.partition(";") for each in project["dependencies"]]
+    needed += [
+        (name, ";", f'{f"({marker}) and " if (marker := condition.strip()) else ""}extra == "{extra}"')
+        for extra, extras in project["optional-dependencies"].items()
+        for name, _, condition in (each.partition(";") for each in extras)
+    ]
     lines = f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n"
+    lines += "".join(f"Requires-Dist: {''.join(each)}\n" for each in needed)
     (info / "METADATA").write_text(lines, "utf-8")
     groups = {"console_scripts": project["scripts"], **project.get("entry-points", {})}
     lines = "".join(

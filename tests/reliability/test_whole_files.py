@@ -141,6 +141,7 @@ def inputs(tmp_path_factory):
     return {name: folder / file for name, file in files.items()}
 
 
+@pytest.mark.street
 def test_second_commands_name_the_first_one(inputs, tmp_path, capsys):
     out = tmp_path / "out"
     with another_process(out) as holder, another_process(f"{out}.mp4") as filming:

@@ -31,6 +31,7 @@ def box(at, size, strays=0, opacity=0.9):
                      np.full(n, opacity, f), np.zeros((n, 1, 3), f))  # fmt: skip
 
 
+@pytest.mark.street
 def test_a_file_is_stood_on_the_ground_in_a_shadow_and_measured_without_its_strays(tmp_path):
     path = tmp_path / "car.ply"
     write_gaussians(box((0.4, -0.1, 1.0), (4.0, 1.8, 1.4), strays=4), path)

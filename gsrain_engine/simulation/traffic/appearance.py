@@ -48,9 +48,8 @@ def vehicle_model(model: str, scene: Scene) -> VehicleModel:
         return model_of_folder(path)
     if not path.is_file():
         known = ", ".join([*model_names(), *(f"{ACTOR}{each.id}" for each in scene.actors)])
-        raise ValueError(
-            f"model {model}: no such file, and none of {known} (a paint may follow: /{', '.join(paint_names())})"
-        )
+        paints = f" (a paint may follow: /{', '.join(paint_names())})" if paint_names() else ""
+        raise ValueError(f"model {model}: no such file" + (f", and none of {known}{paints}" if known else ""))
     return model_of_file(path)
 
 
