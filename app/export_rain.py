@@ -75,8 +75,8 @@ def export_rain(
         setting(
             ExportSettings,
             "output",
-            "Here a file (.ply .spz ...) for a scene; for a recording a new folder, or a file if it is one (.mcap).",
-            "Output",
+            topic="Output",
+            text="File to write (.ply .spz ...) for a scene; for a recording a new folder, or a file if it is one (.mcap).",
         ),
     ],
     rain: RainOptions | None = None,

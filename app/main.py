@@ -12,7 +12,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from cyclopts import App, ArgumentCollection, CycloptsError, Parameter
+from cyclopts import App, ArgumentCollection, CycloptsError, MissingArgumentError, Parameter
 
 from gsrain_engine import plugins
 from gsrain_engine.optional_packages import MissingPackageError
@@ -113,7 +113,7 @@ def bench_all(
     write_numbers(json, numbers)
 
 
-evaluations = App(name="evaluate", help="Compare rendered images with recorded ones.")
+evaluations = App(name="evaluate", help="Measure detectors, lidars, transfers and pictures in rain.")
 app.command(evaluations)
 for name, (function, summary) in EVALUATIONS.items():
     evaluations.command(function, name=name, help=summary)
@@ -140,6 +140,8 @@ def run(arguments: list[str]) -> int:
         if isinstance(error, ModuleNotFoundError) and (error.name or "").partition(".")[0] in _OURS:
             raise
         said = " ".join(sentence_of(error).split())
+        if isinstance(error, MissingArgumentError) and error.argument is not None:
+            said = f"{error.argument.name} is missing: {error.argument.parameter.help or 'see --help'}"
         if isinstance(error, ImportError) and not isinstance(error, MissingPackageError):
             said = f"a library can't be loaded: {said}; gsrain doctor says what is missing"
         if isinstance(error, MissingInputsError) and len(error.missing) > 1:

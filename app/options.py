@@ -111,8 +111,8 @@ Preset = Annotated[str | None, option("Rain preset (clear, 1.2, 8.5, 12.0, paper
 Wet = Annotated[
     bool | None,
     option(
-        "Overcast light and wet colors in rain above 0.3 mm/h; computed first, and kept, if the scene has none. "
-        "--no-wet is as lit. Default: where the scene has them.",
+        "A cloudy sky and a wet road in rain above 0.3 mm/h; computed once if the scene has no wet colors. "
+        "--no-wet: dry and as lit. Default: wet where the scene has wet colors.",
         topic="Weather and road",
     ),
 ]
@@ -210,16 +210,18 @@ def options_of(
     return Parameter(name="*")(made_class)  # fields are options of the command, without a prefix
 
 
-def setting(kind: type, name: str, ending: str = "", topic: str = "", *, rare: bool = False) -> Parameter:
+def setting(
+    kind: type, name: str, ending: str = "", topic: str = "", *, rare: bool = False, text: str = ""
+) -> Parameter:
     """Describe an option that sets a field of a struct: its names and its help, followed by `ending`.
 
-    Its heading is the field's own, else `topic`.
+    `text` takes the place of the help. Its heading is the field's own, else `topic`.
     """
     field = field_of(kind, name)
     sharing, is_text = _sharing(kind, field), _option_type(kind, field) is str
     form = "Several with commas." if is_text and any(each.item is not None for each in sharing) else ""
     form = "As WIDTHxHEIGHT." if field.is_size else form
-    text = " ".join(filter(None, (*(each.described for each in sharing), form, ending)))
+    text = text or " ".join(filter(None, (*(each.described for each in sharing), form, ending)))
     more: dict[str, Any] = {"negative": ""} if _is_struct(field.item) else {}
     return option(text, *field.options, topic=field.extra.get("topic", topic), rare=rare, **more)
 

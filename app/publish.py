@@ -16,7 +16,7 @@ def publish(
     scene: Annotated[str | None, option("Scene file or folder; default: the built-in street.")] = None,
     /,
     *,
-    output: Annotated[Path, setting(ExportSettings, "output", "Here a web page (.html).", "Output")],
+    output: Annotated[Path, setting(ExportSettings, "output", topic="Output", text="Web page to write (.html).")],
     rain: RainOptions | None = None,
     camera: Annotated[
         Path | None, option("Camera (JSON, .glb, .gltf), for a page without a path.", topic="Camera and time")

@@ -304,8 +304,8 @@ def _places(summary: "CaptureSummary") -> str:
     if max(sizes) < 1e-6:
         return "the camera stood still"
     unit = "m" if summary.is_metric else "units of unknown length"
-    course = f", on a way of {summary.course:.2f}" if summary.course > 0 else ""
-    return f"cameras stood within {' x '.join(f'{size:.2f}' for size in sizes)} {unit}{course}"
+    course = f"; their way is {summary.course:.2f} {unit} long" if summary.course > 0 else ""
+    return f"the cameras stood within {' x '.join(f'{size:.2f}' for size in sizes)} {unit}{course}"
 
 
 # gsrain convert

@@ -87,7 +87,7 @@ _MAX_SKIPS = {
     r"needs an? (NVIDIA )?GPU": 20,
     r"no (test data|reference images|detector) at": 10_000,
     r"weights": 5,
-    r"needs the built-in street": 10_000,  # where its folder was deleted
+    r"needs the built-in street|its folder was deleted": 10_000,
     r"libOSMesa is not installed": 1,  # Debian 13 has none
 }
 """Reasons to skip tests of the whole suite, and how many may be; packages that tests need are installed with them."""

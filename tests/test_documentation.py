@@ -22,6 +22,7 @@ from ui.tools import TOOLS
 
 OF_EXTENSIONS = {"contrast", "NAME", "count", "site"}
 """Commands, evaluations and settings of the examples in docs/extending.md."""
+OF_EXTENSIONS |= {"streaks", "rain-gauge"} - {each.name for each in plugins.find_extensions(plugins.EVALUATIONS)}
 SITE = yaml.safe_load((REPOSITORY / "mkdocs.yml").read_text(encoding="utf-8"))
 LISTED = [each for page in PAGES for each in commands_of(page)]
 

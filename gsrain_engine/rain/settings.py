@@ -63,7 +63,7 @@ class RainSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     intensity_mm_h: Annotated[float, Meta(
         ge=0, le=HEAVIEST_MM_H, title="Intensity", extra={
             "unit": "mm/h", "option": "rain intensity", "commands": "render, disdrometer"},
-        description="Rainfall intensity R. Calibrated up to 13 mm/h.")] = 0.0
+        description="Rainfall intensity R; 0 is no rain. Calibrated up to 13 mm/h.")] = 0.0
     exposure_s: Annotated[ExposureSeconds | None, Meta(
         title="Exposure", extra={
             "unit": "s", "topic": "Sensor and glass", "commands": "render, drive, evaluate detection*"},

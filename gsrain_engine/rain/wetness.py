@@ -143,4 +143,4 @@ def missing_wet_colors(scene: Scene, rain: RainSettings, heaviest_mm_h: float) -
     """Return a line on how to get wet colors, if it rains on a scene that has none and is not to stay as lit."""
     if rain.wetness is not None or heaviest_mm_h <= OVERCAST_FROM_MM_H or scene.has_rainy_light:
         return None
-    return f"{scene.name} has no wet colors and stays as it is lit; --wet makes them first, --no-wet hides this line"
+    return f"{scene.name} is drawn dry, as it is lit: --wet gives it clouds and a wet road; --no-wet hides this line"

@@ -28,7 +28,7 @@ CLIP = f"{STILL} --duration 0.2 --fps 10"
 EDITS = "'rename key=layers/garden name=\"wet garden\"' 'change-rain intensity_mm_h=8.5'"
 SMALL = {
     "README.md": {
-        "gsrain render garden.ply --rain 8.5 -o garden.png": STILL,
+        "gsrain render garden.ply --rain 8.5 --wet -o garden.png": STILL,
         "gsrain render --rain 12 --wet -o street.mp4": CLIP,
         "gsrain render project -o clip.mp4 --clear-pair sunny --passes color,labels": CLIP,
         "gsrain render --preset paper -o paper.png --json paper.json": STILL,

@@ -23,7 +23,11 @@ def test_icons_have_their_sizes_and_show_a_drop():
 
 def test_the_entry_opens_what_the_program_reads_and_is_removed(tmp_path):
     script, share = [sys.executable, str(PACKAGING / "install_desktop.py")], tmp_path / "share"
-    environment = {**os.environ, "PREFIX": str(tmp_path), "PYTHONPATH": str(PACKAGING.parent)}
+    environment = {
+        **os.environ,
+        "PREFIX": str(tmp_path),
+        "PYTHONPATH": os.pathsep.join([*sys.path, str(PACKAGING.parent)]),
+    }
     subprocess.run(script, env=environment, check=True)
     assert {str(each.relative_to(share)) for each in tmp_path.rglob("gsrain*")} == {
         "applications/gsrain.desktop",
