@@ -76,7 +76,7 @@ def export_rain(
             ExportSettings,
             "output",
             topic="Output",
-            text="File (.ply .spz ...) to write for a scene; for a recording a new folder, or a file if it is one (.mcap).",
+            text="File to write (.ply .spz ...) for a scene; for a recording a folder, or a file if it is one (.mcap).",
         ),
     ],
     rain: RainOptions | None = None,
