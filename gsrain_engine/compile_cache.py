@@ -10,6 +10,7 @@ import tempfile
 import time
 from collections.abc import Iterable
 from contextlib import suppress
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 
@@ -24,9 +25,10 @@ FRAME_SOURCES = tuple(
     )
 )  # fmt: skip
 """Folders and files with kernels that others call, and with the constants in them."""
+KERNEL_TABLE = _HERE / "kernel_table.txt"
+"""Kernels of pictures, with their types of arguments, in the order of need: packaging/kernel_table.py writes it."""
 _CACHED_VERSIONS = 2
 _UNUSED_S = 3600.0  # age after which an unused folder may be removed; a process that still uses it only compiles again
-KERNELS = 107  # of all pictures, as a first start compiles them; some effects have a few more
 ROOM_BYTES = 32 << 20  # free space to require; the kernels take a fifth of it
 
 
@@ -53,10 +55,23 @@ def has_kernels() -> bool:
     return mark is not None and mark.is_file()
 
 
+@cache
+def kernel_rows() -> tuple[str, ...]:
+    """Return the rows of the table of kernels."""
+    return tuple(KERNEL_TABLE.read_text("utf-8").splitlines())
+
+
+@cache
+def kernel_names() -> frozenset[str]:
+    """Return the kernels of the table, as "module.function": a first start compiles them; some effects have more."""
+    return frozenset(".".join(row.partition("(")[0].split(".")[-2:]) for row in kernel_rows())
+
+
 def compiled_kernels() -> int:
-    """Return the number of kernels in the cache folder, also while another process compiles; at most `KERNELS`."""
+    """Return how many of `kernel_names` are in the cache folder, also while other processes compile."""
     folder = os.environ.get("NUMBA_CACHE_DIR")
-    return 0 if folder is None else min(sum(1 for _ in Path(folder).rglob("*.nbi")), KERNELS)
+    files = () if folder is None else Path(folder).rglob("*.nbi")
+    return len({each.name.partition("-")[0] for each in files} & kernel_names())
 
 
 def is_first_to_compile() -> bool:

@@ -30,6 +30,8 @@ from pathlib import Path
 from types import CodeType
 from typing import Any, NamedTuple
 
+from tests.repository import is_compiled
+
 ROOT = Path(__file__).resolve().parents[1]
 COPIED = (
     "app", "ui", "gsrain", "gsrain_engine", "gsrain_extras", "shaders", "sample_configs", "tests", "docs", "examples",
@@ -155,7 +157,7 @@ def mutants_of(file: str, source: str) -> Iterator[Mutant]:
         if isinstance(each, ast.FunctionDef | ast.AsyncFunctionDef):
             inner = {id(node) for statement in each.body for node in ast.walk(statement)}
             in_functions |= inner
-            kernels |= inner if any("njit" in ast.unparse(word) for word in each.decorator_list) else set()
+            kernels |= inner if is_compiled(each) else set()
     for node in ast.walk(tree):
         for text in changes(node) if id(node) not in passive else ():
             start, end = offset(node.lineno, node.col_offset), offset(node.end_lineno, node.end_col_offset)

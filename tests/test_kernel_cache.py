@@ -16,11 +16,12 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
+import psutil
 import pytest
 
 from gsrain_engine import compile_cache as cache
 from gsrain_engine.compile_cache import has_kernels, kernel_cache, mark_kernels, use_kernel_cache
-from repository import REPOSITORY
+from repository import REPOSITORY, is_compiled
 
 
 @pytest.fixture
@@ -127,7 +128,7 @@ def test_kernels_are_marked_for_sources_and_processor(tmp_path, sources, monkeyp
 
 def kernels_of(path: Path) -> set[str]:
     functions = [each for each in ast.parse(path.read_bytes()).body if isinstance(each, ast.FunctionDef)]
-    return {each.name for each in functions if any("njit" in ast.unparse(line) for line in each.decorator_list)}
+    return {each.name for each in functions if is_compiled(each)}
 
 
 def test_kernels_that_kernels_of_other_files_call_are_sources():
@@ -157,37 +158,27 @@ def test_another_installation_finds_the_kernels(tmp_path):
     assert places == {str(tmp_path / "kernels" / "simulation")}
 
 
-COUNT = """
+TABLE = """
 import os
 import sys
-from numba.core.caching import NullCache
-from numba.core.dispatcher import Dispatcher
+
+import kernel_table
 from gsrain_engine.compile_cache import has_kernels
-from gsrain_engine.editor.drawing.textures import compile_kernels
 
 os.environ["NUMBA_CACHE_DIR"] = sys.argv[1]  # of the mark; Numba goes on with its own
 before = has_kernels()
-compile_kernels()
-modules = [module for name, module in sys.modules.items() if name.startswith("gsrain_engine.")]
-functions = [each for module in modules for each in vars(module).values() if isinstance(each, Dispatcher)]
-waiting = [each for each in functions if each.overloads]
-kernels = set()
-while waiting:  # those that were called, and all that they call
-    kernel = waiting.pop()
-    if kernel not in kernels:
-        kernels.add(kernel)
-        names = kernel.py_func.__code__.co_names
-        cells = [cell.cell_contents for cell in kernel.py_func.__closure__ or ()]
-        found = [kernel.py_func.__globals__.get(name) for name in names] + cells
-        waiting += [each for each in found if isinstance(each, Dispatcher)]
-print(before, has_kernels(), sum(not isinstance(each._cache, NullCache) for each in kernels))
+rows = kernel_table.needed()
+print(before, has_kernels(), *rows, sep="\\n")
 """
 
 
-def test_kernels_of_a_frame_are_counted_and_marked_after_compilation(tmp_path):
-    command = [sys.executable, "-c", COUNT, str(tmp_path)]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["False", "True", str(cache.KERNELS)]
+def test_the_table_lists_the_kernels_of_pictures_which_are_marked_after_compilation(tmp_path):
+    own = os.environ | {"PYTHONPATH": str(REPOSITORY / "packaging")}
+    command = [sys.executable, "-c", TABLE, str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, env=own)
+    before, after, *rows = done.stdout.splitlines()
+    assert (before, after) == ("False", "True")
+    assert rows == list(cache.kernel_rows()), "run packaging/kernel_table.py"
 
 
 def compiled(module):
@@ -213,13 +204,14 @@ def reported():
 
 def test_the_first_compilation_of_a_process_is_reported_with_a_number(tmp_path, monkeypatch, caplog, reported):
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    (tmp_path / "raster.nbi").touch()
+    (tmp_path / "tiles._count-1.nbi").touch()
     with reported():
         compiled("program_of_a_user")
         assert not caplog.records
         assert compiled("gsrain_engine.rain.drops") == compiled("gsrain_engine.rain.streaks") == 2
     (record,) = caplog.records
-    assert str(cache.KERNELS - 1) in record.getMessage() and record.levelname == "WARNING"  # shown without settings
+    assert str(len(cache.kernel_names()) - 1) in record.getMessage()
+    assert record.levelname == "WARNING"  # shown without settings
     caplog.clear()
     with reported():  # another worker of the same command
         compiled("gsrain_engine.rain.drops")
@@ -228,8 +220,8 @@ def test_the_first_compilation_of_a_process_is_reported_with_a_number(tmp_path, 
 
 def test_a_kernel_that_no_picture_needs_is_reported_by_its_module(tmp_path, monkeypatch, caplog, reported):
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    for number in range(cache.KERNELS):
-        (tmp_path / f"{number}.nbi").touch()
+    for name in cache.kernel_names():
+        (tmp_path / f"{name}-1.nbi").touch()
     with reported():
         compiled("gsrain_engine.evaluation.lidar")
     assert "gsrain_engine.evaluation.lidar" in caplog.text
@@ -277,27 +269,134 @@ def test_all_kernels_of_a_window_are_prepared_at_once():
         assert other.submit(draw_lamps_behind_a_windshield).result() == set()
 
 
-def test_kernels_that_are_missing_are_compiled_by_another_process(tmp_path, monkeypatch):
+EVAPORATION, SPLIT = (
+    next(row for row in cache.kernel_rows() if row.startswith(name))
+    for name in ("water.films._evaporation(", "rain.drop_field._split(")
+)
+
+
+def python(code: str, folder: Path, **options) -> subprocess.Popen[str]:
+    """Start a process whose kernels are in a folder."""
+    own = os.environ | {"NUMBA_CACHE_DIR": str(folder)}
+    return subprocess.Popen([sys.executable, "-c", code], env=own, text=True, stdout=subprocess.PIPE, **options)
+
+
+HELPER = """
+from gsrain_engine import kernel_helpers
+
+kernel_helpers.kernel_rows = lambda: {rows}
+kernel_helpers.compile_table()
+"""
+
+
+def test_a_helper_compiles_the_kernels_of_the_table_that_nobody_compiles(tmp_path):
+    def compiled() -> list[str]:
+        with python(HELPER.format(rows=(EVAPORATION, SPLIT)), tmp_path) as helper:
+            assert helper.wait() == 0
+        return sorted(each.name.partition("-")[0] for each in tmp_path.rglob("*.nbi"))
+
+    with python(HOLDER, tmp_path, stdin=subprocess.PIPE) as other:
+        assert other.stdout.readline() == "holds\n"
+        assert compiled() == ["drop_field._split"]
+        other.communicate("end\n")
+    assert compiled() == ["drop_field._split", "films._evaporation"]
+
+
+HOLDER = """
+from gsrain_engine.water import films
+
+films._evaporation._cache.lock(waiting=False)
+print("holds", flush=True)
+if input() == "compile":
+    films._evaporation(20.0)
+"""
+
+WAITER = """
+from gsrain_engine import kernels
+from gsrain_engine.water import films
+from numba.core import event
+
+lock, compiled = kernels.KernelCache.lock, event.RecordingListener()
+
+def ask(cache, *, waiting):
+    print("asks", flush=True)
+    return lock(cache, waiting=waiting)
+
+kernels.KernelCache.lock = ask
+with event.install_listener("numba:compile", compiled):
+    films._evaporation(20.0)
+print(sum(each.data["dispatcher"] is films._evaporation for _, each in compiled.buffer))
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="locks of POSIX")
+@pytest.mark.parametrize(("end", "count"), [("compile", 0), ("end", 2)])  # a start and an end of compiling
+def test_a_kernel_is_compiled_by_one_process_while_others_wait(tmp_path, end, count):
+    with python(HOLDER, tmp_path, stdin=subprocess.PIPE) as holder:
+        assert holder.stdout.readline() == "holds\n"
+        with python(WAITER, tmp_path) as waiter:
+            assert waiter.stdout.readline() == "asks\n"
+            holder.communicate(f"{end}\n")
+            assert int(waiter.stdout.read()) == count
+
+
+def helpers_now() -> list[psutil.Process]:
+    return [each for each in psutil.Process().children() if "gsrain_engine.kernel_helpers" in each.cmdline()]
+
+
+def test_helpers_take_all_cores_and_end_when_they_are_told(tmp_path, monkeypatch):
+    from gsrain_engine import kernel_helpers
+
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(kernel_helpers, "usable_cores", lambda: 2)
+    helpers = kernel_helpers.KernelHelpers()
+    assert len(helpers_now()) == 2 and helpers.are_running
+    helpers.end()
+    assert helpers_now() == [] and not helpers.are_running
+    assert not kernel_helpers.KernelHelpers(spare_cores=2).are_running
+
+
+STARTER = """
+from gsrain_engine.kernel_helpers import KernelHelpers
+
+helpers = KernelHelpers()
+print("started", flush=True)
+input()
+"""
+
+
+def test_helpers_end_with_a_process_that_is_killed(tmp_path):
+    with python(STARTER, tmp_path, stdin=subprocess.PIPE) as starter:
+        assert starter.stdout.readline() == "started\n"
+        helpers = psutil.Process(starter.pid).children()
+        starter.kill()
+    assert helpers
+    _, alive = psutil.wait_procs(helpers, 30)
+    assert alive == []
+
+
+class Ended:
+    """Helpers that end while they are looked at."""
+
+    def __init__(self):
+        self.states = iter([True, False])
+
+    @property
+    def are_running(self):
+        return next(self.states)
+
+
+def test_a_window_counts_while_helpers_compile(tmp_path, monkeypatch):
     from gsrain_engine.editor.drawing import textures
 
-    calls = tmp_path / "calls"
+    calls = list[str]()
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    monkeypatch.setenv("CALLS", str(calls))
-    monkeypatch.setattr(textures, "compile_kernels", note_process)
-
-    def processes():
-        calls.write_text("")
-        textures.load_kernels()
-        return [int(line) == os.getpid() for line in calls.read_text().split()]
-
-    assert processes() == [False, True]
+    monkeypatch.setattr(textures, "KernelHelpers", lambda: calls.append("helpers") or Ended())
+    monkeypatch.setattr(textures, "compile_kernels", lambda: calls.append("here"))
+    textures.load_kernels(lambda count: calls.append(str(count)))
     mark_kernels()
-    assert processes() == [True]
-
-
-def note_process():
-    with Path(os.environ["CALLS"]).open("a") as file:
-        file.write(f"{os.getpid()}\n")
+    textures.load_kernels()
+    assert calls == ["helpers", "0", "here", "here"]
 
 
 @pytest.fixture

@@ -13,9 +13,8 @@ from typing import Any, no_type_check
 
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
-from numba import njit
 
-from ..kernels import NOGIL
+from ..kernels import kernel
 from ..optional_packages import MissingPackageError, require_package
 from ..scene.camera import DEFAULT_EXPOSURE_S, Camera
 from ..scene.lens import Lens
@@ -525,7 +524,7 @@ def _range_image(values: Any, shape: tuple[int, ...]) -> Float32[np.ndarray, "h 
     return np.asarray(values, np.float32).reshape(shape)
 
 
-@njit(cache=True, nogil=NOGIL)
+@kernel()
 @no_type_check
 def _points(ranges, pitch, yaw, to_vehicle, poses, back):
     """Points of all pixels with a range, row by row; `poses` is empty if the vehicle did not move."""
@@ -556,7 +555,7 @@ def _points(ranges, pitch, yaw, to_vehicle, poses, back):
     return points
 
 
-@njit(cache=True, nogil=NOGIL)
+@kernel()
 @no_type_check
 def _moved(pose, x, y, z):
     return (

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 from scipy.interpolate import CubicHermiteSpline
 
-from ..kernels import NOGIL
+from ..kernels import kernel
 from ..rain.air import DropAir
 from ..rain.drop_field import CLASS_STRIDE, FIRST_OF_CLASS, DropPhases, own_steps
 from ..rain.frame import RainCamera
@@ -114,7 +114,7 @@ def _gusts(
     return phases, rates, motion.scales(start_s).gust_m_s * reaches
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL)
+@kernel(parallel=True)
 @no_type_check
 def _count(
     seed, count, before, after, size, path, seconds, air_rows, air_classes, air_numbers, phases, rates, reaches, counts

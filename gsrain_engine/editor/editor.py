@@ -5,7 +5,7 @@ from pathlib import Path
 
 import platformdirs
 
-from ..compile_cache import KERNELS
+from ..compile_cache import kernel_names
 from ..malloc_tuning import MemoryTrimmer
 from ..rain.keyframes import NO_KEYFRAMES, keyframes_of, rain_of
 from ..rain.settings import RainSettings, load_preset
@@ -155,7 +155,7 @@ class Editor:
     def preparing(self) -> str:
         """Description of the preparation of the renderer, with its progress."""
         done = self.viewport.kernels
-        so_far = "" if done is None else f": {done} of about {KERNELS} kernels"
+        so_far = "" if done is None else f": {done} of {len(kernel_names())} kernels"
         return f"Preparing the renderer, at the first start of a version only{so_far}"
 
     @property

@@ -14,7 +14,7 @@ import numba
 import numpy as np
 from jaxtyping import Float64, Int32, Int64, UInt32
 
-from ..kernels import NOGIL
+from ..kernels import kernel
 from .air import CALM, DropAir
 from .drop_motion import DropMotion
 from .pcg_hash import pcg4d_scalar
@@ -93,7 +93,7 @@ def drop_phases(
     return DropPhases(wraps, fractions, air)
 
 
-@numba.njit(cache=True, nogil=NOGIL)
+@kernel()
 @no_type_check
 def _split(displacement, center, period, wraps, fractions):
     for c in range(len(displacement)):
@@ -223,7 +223,7 @@ def search_drops(
     return np.sort(np.concatenate([row[:n] for row, n in zip(numbers, counts, strict=True)]))
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL)
+@kernel(parallel=True)
 @no_type_check
 def _search_drops(
     seed, count, first_class, wraps, fractions, geometry, margins, far, everywhere, numbers, counts, air_rows,
@@ -348,7 +348,7 @@ def place_drops(numbers: Int64[np.ndarray, " m"], seed: int, where: DropPhases) 
     return Drops(numbers, classes, placed, velocities)
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL)
+@kernel(parallel=True)
 @no_type_check
 def _place_drops(numbers, seed, wraps, moved, rows, by_class, air_numbers, classes, placed, velocities):
     zero, one, chunk_size = np.uint32(0), np.uint32(1), 512

@@ -13,7 +13,7 @@ import numba
 import numpy as np
 from jaxtyping import Float32, Float64
 
-from ..kernels import NOGIL
+from ..kernels import kernel
 from ..scene.camera import Camera
 from ..scene.lamps import LitLamps
 from ..scene.lens import PixelRays
@@ -285,7 +285,7 @@ def _sum_slices(ray, lamp, depths, distances, numbers, sums, light):
     return True
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _fill_blocks(corners, cell_px, intrinsics, lamps, numbers, drawn, sums, distances):
     """Light of each lamp, over its intensity, up to each slice at the corners of blocks of cells."""
@@ -335,7 +335,7 @@ def _is_smooth(corners, row, column, i, ray, lamp, depths, distances, numbers, s
     return True
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _fill(table, corners, cell_px, intrinsics, lamps, numbers, drawn, sums, distances):
     """Sum the light of all lamps up to each slice along the ray of each corner of the cells.
@@ -526,7 +526,7 @@ def _lamps_near(x, y, intrinsics, lamps, near):
     return found
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _light_in_picture(
     depth_share, weight, image, table, cell_px, intrinsics, lamps, numbers, drawn, sums
@@ -557,7 +557,7 @@ def _light_in_picture(
                     image[row, column, channel] += (one - share) * light[channel]
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _light_along_rays(
     depth_share, weight, rays, image, table, cell_px, intrinsics, lamps, numbers, drawn, sums
@@ -604,7 +604,7 @@ def light_of_drops(
     return light
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _light_drops(points, lamps, numbers, drawn, phase, light):
     for n in numba.prange(len(points)):

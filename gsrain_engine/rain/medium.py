@@ -12,7 +12,7 @@ import numba
 import numpy as np
 from jaxtyping import Float, Float32, Float64
 
-from ..kernels import NOGIL
+from ..kernels import kernel
 from ..scene.camera import Camera
 from ..scene.lens import PixelRays
 from .settings import RainSettings
@@ -207,14 +207,14 @@ def _drawn_up_to(depth_m, step_m, drawn):
     return drawn[k] + (at - np.float32(k)) * (drawn[k + 1] - drawn[k])
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _transmittances(points, numbers, drawn, kept):
     for i in numba.prange(len(points)):
         kept[i] = np.exp(-optical_depth(points[i, 0], points[i, 1], points[i, 2], numbers, drawn))
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _transmittances_by_distance(points, numbers, drawn, kept):
     for i in numba.prange(len(points)):

@@ -7,7 +7,7 @@ import numba
 import numpy as np
 from jaxtyping import Float32, Float64
 
-from ..kernels import NOGIL
+from ..kernels import kernel
 from ..scene.camera import Camera
 from ..scene.gaussians import Gaussians, sh_from_color
 from ..scene.lens import lens_numbers, view_bounds
@@ -140,7 +140,7 @@ def _streak(diameter_mm, speed, across, depth, moving, stretch, numbers, max_cop
     return opacity, length, copies, across_sigma, along_sigma
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _fill(
     positions, diameters, velocities, camera_velocity, moving, world_to_camera, eye, edges, numbers, max_copies, rows,
@@ -218,7 +218,7 @@ def _row_part(x, y, z, vx, vy, vz, part, turn, lens, scan):
     return x, y, z, scan[0] * a + scan[1] * b + scan[2], is_imaged
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _fill_through_lens(
     positions, diameters, velocities, camera_velocity, moving, world_to_camera, eye, shift, turn, lens, by_distance,

@@ -8,7 +8,7 @@ import numba
 import numpy as np
 from jaxtyping import Float32, Int64
 
-from ..kernels import NOGIL
+from ..kernels import kernel
 from .weights import LazyWeights, Picture, Plane, SplatColors, StoredWeights
 
 Harmonics = Float32[np.ndarray, "n k 3"]
@@ -90,7 +90,7 @@ def apply_normal(targets: Sequence[ColorTarget], change: Harmonics) -> Harmonics
     return result
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL)
+@kernel(parallel=True)
 @no_type_check
 def evaluate_colors(sh: Harmonics, indices: Rows, basis: Basis) -> SplatColors:
     """Sum of harmonics of each splat, without the 0.5 of 3DGS."""
@@ -107,7 +107,7 @@ def evaluate_colors(sh: Harmonics, indices: Rows, basis: Basis) -> SplatColors:
     return colors
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL)
+@kernel(parallel=True)
 @no_type_check
 def add_colors_transposed(sh: Harmonics, indices: Rows, basis: Basis, colors: SplatColors) -> None:
     """Transpose of `evaluate_colors`, added in place; parallel over rows, since indices are unique within a view."""
@@ -122,7 +122,7 @@ def add_colors_transposed(sh: Harmonics, indices: Rows, basis: Basis, colors: Sp
 _CHUNKS = 64  # sums run over this number of chunks in order: byte-identical for any number of threads
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL)
+@kernel(parallel=True)
 @no_type_check
 def _condition(remainder, diagonal, turn, direction):
     """Compute direction = remainder / diagonal + turn * direction; return remainder . (remainder / diagonal)."""
@@ -141,7 +141,7 @@ def _condition(remainder, diagonal, turn, direction):
     return sums.sum()
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL)
+@kernel(parallel=True)
 @no_type_check
 def _sloped(remainder, diagonal):
     n, k = remainder.shape[:2]
@@ -156,7 +156,7 @@ def _sloped(remainder, diagonal):
     return sums.sum()
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL)
+@kernel(parallel=True)
 @no_type_check
 def _curvature(image, direction, prior_weights):
     n, k = image.shape[:2]
@@ -173,7 +173,7 @@ def _curvature(image, direction, prior_weights):
     return sums.sum()
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL)
+@kernel(parallel=True)
 @no_type_check
 def _advance(change, remainder, direction, image, step):
     n, k = change.shape[:2]

@@ -10,7 +10,7 @@ from llvmlite import ir
 from numba.core import types
 from numba.extending import intrinsic
 
-from ..kernels import NOGIL
+from ..kernels import kernel
 from ..render.cpu.compositing import ColorOperator
 from ..render.cpu.fast_math import FAST
 from ..render.cpu.tiles import TILE, absorb, alpha_at, columns_of, nothing, walk_column, walk_tiles
@@ -136,7 +136,7 @@ def weights_of(view: ColorOperator, max_bytes: float = np.inf) -> StoredWeights 
     )  # fmt: skip
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
+@kernel(parallel=True, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _walk(tiles, shapes, data):
     """Composite without colors: count each pair's pieces, and write them at `starts` unless those are empty."""
@@ -205,7 +205,7 @@ def _gather_tile(tile, pair_starts, piece_starts, places, weights, canvas, lanes
             by_pair[k, channel] = total * STEP
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
+@kernel(parallel=True, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _normal(pair_starts, splats, piece_starts, places, weights, colors, trust, by_pair):
     height, width = trust.shape
@@ -224,7 +224,7 @@ def _normal(pair_starts, splats, piece_starts, places, weights, colors, trust, b
         _gather_tile(tile, pair_starts, piece_starts, places, weights, canvas, lanes, by_pair)
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
+@kernel(parallel=True, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _blend(pair_starts, splats, piece_starts, places, weights, colors, image):
     height, width = image.shape[0], image.shape[1]
@@ -243,7 +243,7 @@ def _blend(pair_starts, splats, piece_starts, places, weights, colors, image):
                     ]
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
+@kernel(parallel=True, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _gather(pair_starts, piece_starts, places, weights, image, by_pair):
     height, width = image.shape[0], image.shape[1]
@@ -261,7 +261,7 @@ def _gather(pair_starts, piece_starts, places, weights, image, by_pair):
         _gather_tile(tile, pair_starts, piece_starts, places, weights, canvas, lanes, by_pair)
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
+@kernel(parallel=True, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _squares(pair_starts, piece_starts, places, weights, trust, by_pair):
     height, width = trust.shape
@@ -278,7 +278,7 @@ def _squares(pair_starts, piece_starts, places, weights, trust, by_pair):
             by_pair[k, 0] = total
 
 
-@numba.njit(cache=True, nogil=NOGIL)
+@kernel()
 @no_type_check
 def _add_pairs(splats, by_pair, sums):
     for k in range(len(splats)):

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 from scipy.special import ndtri
 
-from ..kernels import NOGIL
+from ..kernels import kernel
 from ..rain.pcg_hash import pcg4d_scalar
 from ..scene.camera import Camera
 from ..scene.geometry import LUMINANCE, linear_to_srgb, srgb_to_linear
@@ -144,7 +144,7 @@ def _tone_table(name: str) -> UInt8[np.ndarray, " n"]:
     return np.rint(255 * tone_curve(np.arange(_TONES) / (_TONES - 1), name)).astype(np.uint8)
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL)
+@kernel(parallel=True)
 @no_type_check
 def _expose(image, means, sigmas, normals, tones, seed, moment, camera, made):
     """Add noise to each channel, clip, and apply the tone curve; all tables are in units of the tone table's index."""

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 from ..choices import RenderMode
-from ..kernels import NOGIL
+from ..kernels import kernel
 from ..rain.frame import RainFrame
 from ..scene.camera import Camera
 from ..scene.scene import DrawItem
@@ -86,7 +86,7 @@ class Frame:
         return np.rint(255 * np.concatenate([color, alpha], axis=-1)).astype(np.uint8)
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _quantize(rgba, background, pixels):
     """Write the 8-bit image over a background: every video frame is converted here."""

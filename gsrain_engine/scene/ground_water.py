@@ -4,11 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, no_type_check
 
-import numba
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int64, UInt8
 
-from ..kernels import NOGIL
+from ..kernels import kernel
 from .gaussians import SH_C0, Gaussians, IdentityKey, scene_cache, sh_basis
 
 FILM_SLOPE, STANDING_SLOPE = 0.10, 0.02
@@ -80,7 +79,7 @@ class GroundWater:
         )  # fmt: skip
 
 
-@numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(error_model="numpy")
 @no_type_check
 def _look_up(points, corner_x, corner_y, cell, cover, shares):
     """As `GroundWater.cells` finds them, one by one."""

@@ -5,7 +5,7 @@ from typing import no_type_check
 import numba
 import numpy as np
 
-from ..kernels import NOGIL
+from ..kernels import kernel
 
 _NEWTON_STEPS, _BRACKET_STEPS = 12, 60
 _LARGEST_ERROR_PX, _CLOSE_PX = 0.01, 1e-7
@@ -51,14 +51,14 @@ def bent_place(x, y, z, lens):
     return p + lens[2] * q, q + lens[3] * p, is_imaged
 
 
-@numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(error_model="numpy")
 @no_type_check
 def bend_points(points, lens, places, is_imaged):
     for i in range(len(points)):
         places[i, 0], places[i, 1], is_imaged[i] = bent_place(points[i, 0], points[i, 1], points[i, 2], lens)
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def unbend_places(places, lens, fx, fy, rays, is_imaged):
     for chunk in numba.prange((len(places) + _CHUNK - 1) // _CHUNK):

@@ -8,7 +8,7 @@ import numba
 import numpy as np
 from jaxtyping import Float32, Float64, Int64, UInt32
 
-from ..kernels import NOGIL
+from ..kernels import kernel
 from .camera import Camera
 from .gaussians import Gaussians
 
@@ -90,7 +90,7 @@ def _project(
     return boxes, ellipses
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _write_ellipses(members, means, scales, quaternions, opacities, m, view, boxes, ellipses):
     """Write the cells that each Gaussian covers and its slice, -1 for none; and center, inverse covariance and alpha.
@@ -142,7 +142,7 @@ def _write_ellipses(members, means, scales, quaternions, opacities, m, view, box
             ellipses[n, 4] = -0.5 * xx / determinant
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _find_depths(boxes, ellipses, logarithms, depths_m):
     """Add up logarithms of transmittances in each cell and slice, and find the first slice that hides the next ones."""
@@ -180,7 +180,7 @@ def _find_depths(boxes, ellipses, logarithms, depths_m):
                     depths_m[column, row] = min(depths_m[column, row], end if hidden else np.float32(np.inf))
 
 
-@numba.njit(cache=True, nogil=NOGIL)
+@kernel()
 @no_type_check
 def _find_maxima(levels, depths_m):
     for level in range(1, len(levels)):

@@ -7,7 +7,7 @@ import numba
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64, UInt32, UInt64
 
-from ..kernels import NOGIL
+from ..kernels import kernel
 from .gaussians import Gaussians, scene_cache
 from .scene import robust_bounds
 
@@ -126,7 +126,7 @@ def _areas(gaussians: Gaussians) -> Float32[np.ndarray, "5 n"]:
     return np.ascontiguousarray(np.stack([areas, areas / _hashed(len(areas)), *gaussians.means.T]))
 
 
-@numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(error_model="numpy")
 @no_type_check
 def _thin(lines, scales, m, by_area, slopes, members, grown):
     slope_x, slope_y = slopes
@@ -163,7 +163,7 @@ def _thin(lines, scales, m, by_area, slopes, members, grown):
     return drawn
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _contributions(scales, opacities):
     values = np.zeros(len(opacities), np.float32)
@@ -175,7 +175,7 @@ def _contributions(scales, opacities):
     return values
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _ranks(contributions):
     """Convert weights to sort keys of a weighted sample: w / -ln(u), u in (0, 1) hashed from the index."""
@@ -185,7 +185,7 @@ def _ranks(contributions):
     return ranks
 
 
-@numba.njit(cache=True, nogil=NOGIL)
+@kernel()
 @no_type_check
 def _hashed(count):
     """Numbers in (0, 1) hashed from the index; others than those of a weighted sample."""
@@ -206,7 +206,7 @@ def _uniform(n):
     return ((x >> np.uint64(11)) + 0.5) * 2.0**-53
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL)
+@kernel(parallel=True)
 @no_type_check
 def _largest_first(bits):
     """Sort keys of positive float32 numbers, whose bits sort like the numbers themselves."""
@@ -216,7 +216,7 @@ def _largest_first(bits):
     return keys
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _to_morton_keys(means, low, cells_a_unit, keys):
     """Replace the upper half of each key by the Morton code of the Gaussian whose index is in the lower half."""
@@ -241,7 +241,7 @@ def _spread(x):
     return (x | (x << np.uint64(2))) & np.uint64(0x09249249)
 
 
-@numba.njit(cache=True, nogil=NOGIL)
+@kernel()
 @no_type_check
 def _permute(means, scales, quaternions, opacities, sh, order):
     """Move row order[n] of each array to row n, one cycle of the permutation after the other; overwrites `order`."""

@@ -8,7 +8,7 @@ import numba
 import numpy as np
 from jaxtyping import Float32, Float64, Int64, UInt32
 
-from ..kernels import NOGIL
+from ..kernels import kernel
 from .camera import Camera
 from .gaussians import SH_C0, Gaussians, IdentityKey, scene_cache
 from .lod_occlusion import CELL_PX, OcclusionMap, nothing_hidden, occlusion_map
@@ -243,7 +243,7 @@ def _curve_order(gaussians: Gaussians) -> UInt32[np.ndarray, " n"]:
     return np.argsort(codes, kind="stable").astype(np.uint32)
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _hilbert_codes(means, low, cells_a_unit, codes):
     """Write each mean's place on a Hilbert curve of 2^63 cells (transposed form of Skilling 2004)."""
@@ -283,7 +283,7 @@ def _hilbert_codes(means, low, cells_a_unit, codes):
 # Merging
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _merge(
     max_spread, means, scales, quaternions, opacities, sh, order, radii, errors, contrasts, to_means, to_scales,
@@ -366,7 +366,7 @@ def _merge(
         _write_quaternion(axes, to_quaternions[n])
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _average(scales, opacities, sh, order, to_sh):
     """Average the harmonics of children four by four, with the weights of `_merge`."""
@@ -439,7 +439,7 @@ def _spread(within, between, integral, largest):
     return min(max(g, 1.0), largest)
 
 
-@numba.njit(error_model="numpy", cache=True, nogil=NOGIL)
+@kernel(error_model="numpy")
 @no_type_check
 def _diagonalize(m, axes):
     """Rotate a symmetric matrix to its diagonal in place (Jacobi); the columns of `axes` become its eigenvectors."""
@@ -465,7 +465,7 @@ def _diagonalize(m, axes):
                 axes[k, p], axes[k, q] = c * left - s * right, s * left + c * right
 
 
-@numba.njit(error_model="numpy", cache=True, nogil=NOGIL)
+@kernel(error_model="numpy")
 @no_type_check
 def _write_quaternion(r, q):
     """Write the unit quaternion (w, x, y, z) of a rotation (Shepperd 1978: by its largest component)."""
@@ -485,7 +485,7 @@ def _write_quaternion(r, q):
 # Cut
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _cut(
     leaves, means, radii, errors, starts, m, scale, intrinsics, pixel, finest, cell_px, depths_m, levels,
@@ -503,7 +503,7 @@ def _cut(
         )  # fmt: skip
 
 
-@numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(error_model="numpy")
 @no_type_check
 def _walk(
     first_root, last_root, leaves, means, radii, errors, starts, m, scale, intrinsics, pixel, finest, cell_px,
@@ -596,7 +596,7 @@ def _is_hidden(u, v, nearest_m, reach, depths_m, levels):
     return True
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL)
+@kernel(parallel=True)
 @no_type_check
 def _gather(found_leaves, found_nodes, counts, ends, leaves, nodes):
     """Copy what each part has found to its place in the result."""

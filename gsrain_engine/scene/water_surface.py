@@ -3,9 +3,7 @@
 from math import erfc, exp, pi, sqrt
 from typing import Any, TypeVar, no_type_check
 
-import numba
-
-from ..kernels import NOGIL
+from ..kernels import kernel
 
 WATER_REFLECTANCE = 0.02
 """Reflectance of water at normal incidence (refractive index 1.33)."""
@@ -28,7 +26,7 @@ def wet_albedo(albedo: Albedo) -> Albedo:
     return (1 - WATER_REFLECTANCE) * (1 - INTERNAL_REFLECTION) * d / (1 - INTERNAL_REFLECTION * d)
 
 
-@numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(error_model="numpy")
 @no_type_check
 def reflectance(cosine, index):
     """Reflectance of a smooth dielectric for unpolarized light (Fresnel 1823): the mean over both polarizations.
@@ -41,7 +39,7 @@ def reflectance(cosine, index):
     return 0.5 * (across * across + along * along)
 
 
-@numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(error_model="numpy")
 @no_type_check
 def unshadowed(cosine, slope):
     """Share of a rough surface's facets that a ray reaches unshadowed (Smith 1967, Gaussian slopes).

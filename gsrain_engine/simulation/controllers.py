@@ -2,11 +2,10 @@
 
 from typing import no_type_check
 
-import numba
 import numpy as np
 from jaxtyping import Float64
 
-from ..kernels import NOGIL
+from ..kernels import kernel
 from .controller_base import Controller, PurePursuit, make_reachable, tracked_states
 from .geometry import wrap_angle
 from .vehicle import Control, Vehicle, VehicleState
@@ -90,13 +89,13 @@ _TOLERANCE = 1e-6  # the search ends when the norm of the input change is smalle
 _SLOWEST_M_S = 0.01  # minimum speed for linearization; at standstill steering would have no effect
 
 
-@numba.njit(cache=True, nogil=NOGIL)
+@kernel()
 @no_type_check
 def wrap_angle_kernel(angle):
     return (angle + np.pi) % (2 * np.pi) - np.pi
 
 
-@numba.njit(cache=True, nogil=NOGIL)
+@kernel()
 @no_type_check
 def step_state(state, control, dt, at, wheelbase, limits, after):
     """Write the next state to `after`; `control` is clipped to `limits` in place.
@@ -116,7 +115,7 @@ def step_state(state, control, dt, at, wheelbase, limits, after):
     after[2] = state[2] + turn
 
 
-@numba.njit(cache=True, nogil=NOGIL)
+@kernel()
 @no_type_check
 def linearize_dynamics(state, control, dt, at, wheelbase, slope, effect):
     """Write the derivatives of `step_state` by state, (5, 5), and by control within its limits, (5, 2)."""
@@ -141,7 +140,7 @@ def linearize_dynamics(state, control, dt, at, wheelbase, slope, effect):
     effect[3, 0] = effect[4, 1] = dt
 
 
-@numba.njit(cache=True, nogil=NOGIL)
+@kernel()
 @no_type_check
 def roll_out(start, controls, dt, at, wheelbase, limits, states):
     """Write the states that controls lead to, starting with `start`; `controls` are clipped to the limits."""
@@ -150,7 +149,7 @@ def roll_out(start, controls, dt, at, wheelbase, limits, states):
         step_state(states[k], controls[k], dt, at, wheelbase, limits, states[k + 1])
 
 
-@numba.njit(cache=True, nogil=NOGIL)
+@kernel()
 @no_type_check
 def solve_lqr_policy(states, controls, reference, dt, at, wheelbase, weights, gains, offsets):
     """Write the optimal linear policy for deviations, by dynamic programming backward from the horizon.
@@ -172,7 +171,7 @@ def solve_lqr_policy(states, controls, reference, dt, at, wheelbase, weights, ga
         _add_error(states[k], reference[k], weights, slope_of_value)
 
 
-@numba.njit(cache=True, nogil=NOGIL)
+@kernel()
 @no_type_check
 def forward_pass(states, controls, dt, at, wheelbase, limits, gains, offsets, better):
     """Write the controls of a policy, from the same start."""
@@ -187,7 +186,7 @@ def forward_pass(states, controls, dt, at, wheelbase, limits, gains, offsets, be
         deviation[:] = after - states[k + 1]
 
 
-@numba.njit(cache=True, nogil=NOGIL)
+@kernel()
 @no_type_check
 def _add_error(state, reference, weights, slope_of_value):
     """Add the gradient of one step's tracking cost."""
@@ -196,7 +195,7 @@ def _add_error(state, reference, weights, slope_of_value):
         slope_of_value[i] += weights[i] * (wrap_angle_kernel(error) if i == 2 else error)
 
 
-@numba.njit(cache=True, nogil=NOGIL)
+@kernel()
 @no_type_check
 def _product(left, right):
     out = np.zeros((left.shape[0], right.shape[1]))
@@ -207,7 +206,7 @@ def _product(left, right):
     return out
 
 
-@numba.njit(cache=True, nogil=NOGIL)
+@kernel()
 @no_type_check
 def _answer(value, slope_of_value, slope, effect, control, weights, gain, offset):
     """Minimize one step's cost plus the following value over the inputs."""
@@ -227,7 +226,7 @@ def _answer(value, slope_of_value, slope, effect, control, weights, gain, offset
     offset[1] = -(a * w - b * u) / determinant
 
 
-@numba.njit(cache=True, nogil=NOGIL)
+@kernel()
 @no_type_check
 def _before(value, slope_of_value, slope, effect, gain, offset, control, weights):
     """Return value and gradient one step earlier, without that step's tracking error."""

@@ -7,11 +7,11 @@ from typing import Any, no_type_check
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64
-from numba import njit, prange
+from numba import prange
 from scipy.ndimage import minimum_filter
 from scipy.spatial import KDTree
 
-from ..kernels import NOGIL
+from ..kernels import kernel
 from ..render.gsplat_input import uploaded
 from ..scene.camera import Camera
 from .parameters import SplatParameters, Tensor, indices_of
@@ -169,7 +169,7 @@ def _nearest_surfaces(depth: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, 
     return np.where(np.isfinite(nearest), nearest, 0).astype(np.float32)
 
 
-@njit(cache=True, nogil=NOGIL, parallel=True, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _mark_free(means, poses, lenses, limits, found):
     """Mark each of `means` (n, 3) that is nearer to a camera than the limit of its cell."""

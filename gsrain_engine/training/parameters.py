@@ -6,9 +6,9 @@ from typing import Any, NamedTuple, no_type_check
 
 import numpy as np
 from jaxtyping import Float32, Float64, Shaped
-from numba import njit, prange
+from numba import prange
 
-from ..kernels import NOGIL
+from ..kernels import kernel
 from ..render.gsplat_input import uploaded
 from ..scene.gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
 
@@ -204,7 +204,7 @@ FIRST_DECAY, SECOND_DECAY, EPSILON = 0.9, 0.999, 1e-15
 _CHUNK = 4096
 
 
-@njit(cache=True, nogil=NOGIL, parallel=True, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def adam_step(values, gradients, first, second, rows, rate, first_share, second_share):
     """Update `values` (n, c) and their moments in place; rows are independent.
@@ -256,8 +256,8 @@ def fused_adam_step(
     That kernel has no bias corrections: they are in its learning rate and epsilon. Arguments are those of
     `foreach_adam_step`, which does the step without it.
     """
-    kernel = _gsplat_adam()
-    if kernel is None or not fours:
+    fused = _gsplat_adam()
+    if fused is None or not fours:
         foreach_adam_step(fours, rows, steps)
         return
     with torch.no_grad():
@@ -266,7 +266,7 @@ def fused_adam_step(
         for (values, gradients, first, second), step in zip(fours, steps, strict=True):
             spread = step.second_share**0.5
             pace = step.rate * spread / step.first_share
-            kernel(
+            fused(
                 values, gradients.contiguous(), first, second, moving, pace, FIRST_DECAY, SECOND_DECAY, EPSILON * spread
             )
 

@@ -12,11 +12,10 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple, no_type_check
 
-import numba
 import numpy as np
 from jaxtyping import Float64
 
-from ..kernels import NOGIL
+from ..kernels import kernel
 from ..rain.keyframes import KeyframeCurve, RainKeyframes
 from ..rain.simulation import RainSimulation
 from ..rain.wetness import DEPTH_EXPONENT, OVERCAST_FROM_MM_H, OVERCAST_MM_H, TEXTURE_DEPTH_MM, water_depth_mm
@@ -147,14 +146,14 @@ _OF_DEPTH, _ALL_DRIES, _NONE_DRIES = 1 / DEPTH_EXPONENT, OVERCAST_FROM_MM_H, OVE
 _UNIT_MM = water_depth_mm(1.0)
 
 
-@numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(error_model="numpy")
 @no_type_check
 def _evaporation(rate):
     share = min(max((rate - _ALL_DRIES) / (_NONE_DRIES - _ALL_DRIES), 0.0), 1.0)
     return EVAPORATION_MM_H * (1 - share * share * (3 - 2 * share))
 
 
-@numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(error_model="numpy")
 @no_type_check
 def _passed(film, dip, start_rate, end_rate, seconds, run_in):
     """Depths after a time in which the rain rate changes linearly, in steps of `_STEP_S` and a rest."""
@@ -177,7 +176,7 @@ def _passed(film, dip, start_rate, end_rate, seconds, run_in):
     return film, dip
 
 
-@numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(error_model="numpy")
 @no_type_check
 def _integrate(film, dip, times, rates, run_in):
     found = np.empty((len(times), 2))

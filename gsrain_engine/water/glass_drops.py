@@ -7,11 +7,10 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import no_type_check
 
-import numba
 import numpy as np
 from jaxtyping import Float32, Float64
 
-from ..kernels import NOGIL
+from ..kernels import kernel
 from ..rain.pcg_hash import pcg4d_scalar
 from ..rain.properties import CLASSES
 from .pane import Pane
@@ -224,14 +223,14 @@ class GlassDrops:
 _UNIT = 2.0**-32
 
 
-@numba.njit(cache=True, nogil=NOGIL)
+@kernel()
 @no_type_check
 def _cell(heads, low, u, v):
     row = min(max(int((v - low[1]) / _CELL_M), 0), heads.shape[0] - 1)
     return row, min(max(int((u - low[0]) / _CELL_M), 0), heads.shape[1] - 1)
 
 
-@numba.njit(cache=True, nogil=NOGIL)
+@kernel()
 @no_type_check
 def _link(drops, heads, links, low, slot):
     row, column = _cell(heads, low, drops[slot, U], drops[slot, V])
@@ -239,7 +238,7 @@ def _link(drops, heads, links, low, slot):
     heads[row, column] = slot
 
 
-@numba.njit(cache=True, nogil=NOGIL)
+@kernel()
 @no_type_check
 def _unlink(drops, heads, links, low, slot):
     row, column = _cell(heads, low, drops[slot, U], drops[slot, V])
@@ -252,7 +251,7 @@ def _unlink(drops, heads, links, low, slot):
     links[at] = links[slot]
 
 
-@numba.njit(cache=True, nogil=NOGIL)
+@kernel()
 @no_type_check
 def _remove(drops, heads, links, free, counts, low, slot):
     _unlink(drops, heads, links, low, slot)
@@ -261,7 +260,7 @@ def _remove(drops, heads, links, free, counts, low, slot):
     counts[0] += 1
 
 
-@numba.njit(cache=True, nogil=NOGIL)
+@kernel()
 @no_type_check
 def _bound(counts, radius):
     """Enlarge the radius that none exceeds, if this one does."""
@@ -269,7 +268,7 @@ def _bound(counts, radius):
     counts[3], counts[4] = max(counts[3], bound), max(counts[4], bound)
 
 
-@numba.njit(cache=True, nogil=NOGIL)
+@kernel()
 @no_type_check
 def _touching(drops, heads, links, counts, low, u, v, radius, own):
     """Slot of the drop that overlaps a footprint most; -1 for none."""
@@ -292,7 +291,7 @@ def _touching(drops, heads, links, counts, low, u, v, radius, own):
     return found
 
 
-@numba.njit(cache=True, nogil=NOGIL)
+@kernel()
 @no_type_check
 def _merge_all(drops, heads, links, free, counts, low, factor, slot):
     """Merge a drop with all that it touches; returns the slot of what is left."""
@@ -317,7 +316,7 @@ def _merge_all(drops, heads, links, free, counts, low, factor, slot):
         _link(drops, heads, links, low, slot)
 
 
-@numba.njit(cache=True, nogil=NOGIL)
+@kernel()
 @no_type_check
 def _add(drops, heads, links, free, counts, low, factor, u, v, volume, shape):
     """Put a drop into a free slot, and merge it with those that it touches."""
@@ -332,7 +331,7 @@ def _add(drops, heads, links, free, counts, low, factor, u, v, volume, shape):
     return _merge_all(drops, heads, links, free, counts, low, factor, slot)
 
 
-@numba.njit(cache=True, nogil=NOGIL)
+@kernel()
 @no_type_check
 def _poisson(mean, seed, tick):
     """Number drawn from Poisson's law, in parts of a mean of at most 16, by inversion."""
@@ -352,7 +351,7 @@ def _poisson(mean, seed, tick):
     return number
 
 
-@numba.njit(cache=True, nogil=NOGIL)
+@kernel()
 @no_type_check
 def _advance(
     drops, heads, links, free, counts, film, totals, on_blade, low, high, wetting, seed, tick, sums, volumes, weight,
@@ -369,7 +368,7 @@ def _advance(
         _dry(film, totals, counts)
 
 
-@numba.njit(cache=True, nogil=NOGIL)
+@kernel()
 @no_type_check
 def _land(drops, heads, links, free, counts, totals, low, high, factor, seed, tick, sums, volumes):
     """Let the drops of a tick land: class and place of each by its number."""
@@ -387,7 +386,7 @@ def _land(drops, heads, links, free, counts, totals, low, high, factor, seed, ti
         _add(drops, heads, links, free, counts, low, factor, u, v, volume, d * _UNIT)
 
 
-@numba.njit(cache=True, nogil=NOGIL)
+@kernel()
 @no_type_check
 def _run(drops, heads, links, free, counts, totals, low, high, wetting, seed, weight, drag):
     """Move drops for which weight and drag of the air exceed the force of contact angle hysteresis."""
@@ -452,7 +451,7 @@ def _run(drops, heads, links, free, counts, totals, low, high, wetting, seed, we
     counts[3] = counts[4]
 
 
-@numba.njit(cache=True, nogil=NOGIL)
+@kernel()
 @no_type_check
 def _wipe(drops, heads, links, free, counts, film, totals, on_blade, low, angles, seed):
     """Take up what the blade passes, and leave a film in streaks where its rubber is worn."""
@@ -491,7 +490,7 @@ def _wipe(drops, heads, links, free, counts, film, totals, on_blade, low, angles
             on_blade[0] -= np.float64(left) * area
 
 
-@numba.njit(cache=True, nogil=NOGIL)
+@kernel()
 @no_type_check
 def _dry(film, totals, counts):
     """Let the film dry."""

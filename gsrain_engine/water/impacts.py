@@ -15,7 +15,7 @@ import numba
 import numpy as np
 from jaxtyping import Bool, Float64, Int64, UInt32
 
-from ..kernels import NOGIL
+from ..kernels import kernel
 from ..rain.calibration import Calibration
 from ..rain.pcg_hash import pcg4d_scalar
 from ..rain.properties import fall_speed, rain_properties
@@ -179,7 +179,7 @@ def _drawn(cell_x, cell_y, tick, number, seed):
     return pcg4d_scalar(np.uint32(cell_x), np.uint32(cell_y), np.uint32(tick), mixed)
 
 
-@numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(error_model="numpy")
 @no_type_check
 def _land(cells, first, last, seed, ends, tables, rows, hashes):
     """Write the drops as far as there is room, and return their number."""

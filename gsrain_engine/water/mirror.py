@@ -13,7 +13,7 @@ import numba
 import numpy as np
 from jaxtyping import Float32, Float64
 
-from ..kernels import NOGIL
+from ..kernels import kernel
 from ..rain.settings import RainSettings
 from ..scene.camera import Camera
 from ..scene.ground_water import FILM_SLOPE, STANDING_SLOPE
@@ -103,7 +103,7 @@ def facet_rows(slopes: Float64[np.ndarray, " angles"]) -> Float32[np.ndarray, "a
     return table
 
 
-@numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(error_model="numpy")
 @no_type_check
 def _fill_facets(slopes, table):
     for row in range(len(slopes)):
@@ -243,7 +243,7 @@ def make_mirror(
 # Geometry of pixels
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _geometry(depth, turn, intrinsics, above_m, sines, distances, shares):
     """Write each pixel's sine of the angle to the ground, distance to it, and the share of the way beyond it."""
@@ -264,9 +264,7 @@ def _geometry(depth, turn, intrinsics, above_m, sines, distances, shares):
 # Blur
 
 
-@numba.njit(
-    parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath={"reassoc", "contract", "arcp", "nsz"}
-)
+@kernel(parallel=True, error_model="numpy", fastmath={"reassoc", "contract", "arcp", "nsz"})
 @no_type_check
 def _blur_columns(image, sines, shares, tables, fy, cy, light):
     """Integrate over facets that tilt along the line of sight: over the rows of the image above and below a pixel.
@@ -322,7 +320,7 @@ def _blur_columns(image, sines, shares, tables, fy, cy, light):
                 light[row, column, water, 2] = gain * blue
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _fill_films(sines, light):
     """Interpolate the light of films in the rows and columns that `_blur_columns` leaves out."""
@@ -341,7 +339,7 @@ def _fill_films(sines, light):
                 light[row, column, 0, c] = half * (light[row, column - 1, 0, c] + light[row, other, 0, c])
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _blur_rows(light, sines, shares, slopes, fx, blurred):
     """Blur by facets that tilt across the line of sight, which turn a ray by 2 d times the sine of its angle."""
@@ -366,7 +364,7 @@ def _blur_rows(light, sines, shares, slopes, fx, blurred):
                 blurred[row, column, water, 2] = blue / total
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _weigh(film, light, first_row, across, along, image):
     """Sum of the light of films and standing water, linear between pixels, times their visible shares."""
@@ -425,7 +423,7 @@ def _light_at(light, x, y, water, share):
     )
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _weigh_rings(
     film,
@@ -524,7 +522,7 @@ def _lamp_rows(lamps: LitLamps) -> Float64[np.ndarray, "n 11"]:
     return np.column_stack([lamps.positions_m, lamps.directions, lamps.intensities, lamps.cos_outer, lamps.cos_inner])
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _add_lamps(light, sines, distances, depth, to_world, intrinsics, lamps, slopes, ground_m, extinction_per_m):
     """Add the light of lamps that rough water reflects: F D G / (4 cos v) times the irradiance.
@@ -583,7 +581,7 @@ def _add_lamps(light, sines, distances, depth, to_world, intrinsics, lamps, slop
                         light[row, column, water, c] += np.float32(gain * lamps[i, 6 + c])
 
 
-@numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(error_model="numpy")
 @no_type_check
 def _open_share(depth, row, column, z, lamp, ground_m, to_world, intrinsics):
     """Share of a lamp that a point of the ground sees, by depth z in the camera, past what the mirror image shows.

@@ -14,7 +14,7 @@ import numba
 import numpy as np
 from jaxtyping import Float32, Float64, Int64, UInt8
 
-from ..kernels import NOGIL
+from ..kernels import kernel
 from ..rain.pcg_hash import pcg4d_scalar
 from ..scene.camera import Camera
 from ..scene.geometry import srgb_to_linear
@@ -272,7 +272,7 @@ def _pyramid(picture: UInt8[np.ndarray, "h w 3"]) -> tuple[Float32[np.ndarray, "
 # Kernels
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL)
+@kernel(parallel=True)
 @no_type_check
 def _shrink(image, linear, shrunk):
     for row in numba.prange(shrunk.shape[0]):
@@ -287,7 +287,7 @@ def _shrink(image, linear, shrunk):
             shrunk[row, column, 2] = linear[(2 * blue + 9) // 18]
 
 
-@numba.njit(cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
+@kernel(error_model="numpy", fastmath=_FAST)
 @no_type_check
 def _fresnel(cos_in, cos_out, ratio):
     """Reflected share of unpolarized light; `ratio` is the index before over that behind."""
@@ -296,7 +296,7 @@ def _fresnel(cos_in, cos_out, ratio):
     return 0.5 * (s * s + p * p)
 
 
-@numba.njit(cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
+@kernel(error_model="numpy", fastmath=_FAST)
 @no_type_check
 def _trace(x, y, dx, dy, dz, sphere, depth, cos_turn, sin_turn, stretch):
     """Trace a ray through a spherical cap (`_cap`) that is stretched along one axis and compressed along the other.
@@ -355,7 +355,7 @@ def _trace(x, y, dx, dy, dz, sphere, depth, cos_turn, sin_turn, stretch):
     return 0.0, 0.0, 0.0, -1.0
 
 
-@numba.njit(cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
+@kernel(error_model="numpy", fastmath=_FAST)
 @no_type_check
 def _outline(drop):
     """Axis and stretch of a drop: running drops are long, others are a little out of round."""
@@ -366,7 +366,7 @@ def _outline(drop):
     return np.cos(turn), np.sin(turn), 1.0 + 0.3 * abs(drop[SHAPE] - 0.5)
 
 
-@numba.njit(cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
+@kernel(error_model="numpy", fastmath=_FAST)
 @no_type_check
 def _boxes(drops, view, axes, rows, columns, focal, levels):
     """Cells of each drop, as first and last row and column, none if it is out of view; and its outline.
@@ -402,7 +402,7 @@ def _boxes(drops, view, axes, rows, columns, focal, levels):
     return boxes, outlines
 
 
-@numba.njit(cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
+@kernel(error_model="numpy", fastmath=_FAST)
 @no_type_check
 def _members(boxes, rows):
     """Drops of each row, in their order: `members[starts[row] : starts[row + 1]]`."""
@@ -419,7 +419,7 @@ def _members(boxes, rows):
     return starts, members
 
 
-@numba.njit(cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
+@kernel(error_model="numpy", fastmath=_FAST)
 @no_type_check
 def _look_up(levels, starts, level, x, y, found):
     """Bilinear color of a level at a place in texels of the first one; the border goes on outside."""
@@ -436,7 +436,7 @@ def _look_up(levels, starts, level, x, y, found):
         found[channel] = upper + below * (lower - upper)
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
+@kernel(parallel=True, error_model="numpy", fastmath=_FAST)
 @no_type_check
 def _draw_drops(
     layer, drops, boxes, outlines, row_starts, members, view, axes, places, source, levels, starts, sphere, depth
@@ -494,7 +494,7 @@ def _draw_drops(
                     layer[row, column, channel] += free * weight * color[channel]
 
 
-@numba.njit(cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
+@kernel(error_model="numpy", fastmath=_FAST)
 @no_type_check
 def _noise(u, v, size, seed, lattice):
     """Smooth noise 0..1 over the pane; `lattice` holds a cell and its corners from one call to the next."""
@@ -513,7 +513,7 @@ def _noise(u, v, size, seed, lattice):
     return lower + above * (upper - lower)
 
 
-@numba.njit(cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
+@kernel(error_model="numpy", fastmath=_FAST)
 @no_type_check
 def _plane(axes):
     """Axes of the pane, two and the normal, and the origin along each: numbers, not an array that might change."""
@@ -524,7 +524,7 @@ def _plane(axes):
     return (right[0], right[1], right[2]), (up[0], up[1], up[2]), (normal[0], normal[1], normal[2]), along
 
 
-@numba.njit(cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
+@kernel(error_model="numpy", fastmath=_FAST)
 @no_type_check
 def _place(x, y, plane):
     """Place on the pane that the ray (x, y, 1) meets, and whether it meets one."""
@@ -535,7 +535,7 @@ def _place(x, y, plane):
     return u, path * (x * up[0] + (y * up[1] + up[2])) - origin[1], along > 0.01
 
 
-@numba.njit(cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
+@kernel(error_model="numpy", fastmath=_FAST)
 @no_type_check
 def _fill_places(view, axes, places):
     fx, fy, cx, cy, cell, margin = view
@@ -548,7 +548,7 @@ def _fill_places(view, axes, places):
             places[1, row, column] = v if is_met else _NOWHERE
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
+@kernel(parallel=True, error_model="numpy", fastmath=_FAST)
 @no_type_check
 def _draw_dirt(places, seed, is_wiped, coverage):
     for row in numba.prange(coverage.shape[0]):
@@ -564,7 +564,7 @@ def _draw_dirt(places, seed, is_wiped, coverage):
             coverage[row, column] = share * (_WIPED_SHARE if is_wiped and INNER_M <= from_pivot <= OUTER_M else 1.0)
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
+@kernel(parallel=True, error_model="numpy", fastmath=_FAST)
 @no_type_check
 def _sample_film(places, low, film, film_cell, depth):
     """Interpolate the film's depth; none outside of it."""
@@ -583,7 +583,7 @@ def _sample_film(places, low, film, film_cell, depth):
             depth[row, column] = found
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
+@kernel(parallel=True, error_model="numpy", fastmath=_FAST)
 @no_type_check
 def _draw_veil(layer, places, wet, dirt, amount, blade, margin, blurred, mean):
     """Add film and dirt, which spread light, and the blade, which hides it."""
@@ -628,7 +628,7 @@ def _draw_veil(layer, places, wet, dirt, amount, blade, margin, blurred, mean):
             cell[3] = one - (one - cell[3]) * open_share * (one - spread) * clean
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
+@kernel(parallel=True, error_model="numpy", fastmath=_FAST)
 @no_type_check
 def _blurred(layer, radii):
     """Average over disks, with the radius of each row in cells; not at the sides of the layer, a radius wide."""
@@ -671,7 +671,7 @@ def _blurred(layer, radii):
     return made
 
 
-@numba.njit(cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
+@kernel(error_model="numpy", fastmath=_FAST)
 @no_type_check
 def _add_chord(made, sums_to, to, right, sums_from, start, left, weight):
     for n in range(len(made)):
@@ -681,7 +681,7 @@ def _add_chord(made, sums_to, to, right, sums_from, start, left, weight):
 _BANDS = 8  # between rows of cells, which a thread composites one after the other
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
+@kernel(parallel=True, error_model="numpy", fastmath=_FAST)
 @no_type_check
 def _composite(image, layer, cell, margin, made):
     """I (1 - c) + L, with the layer interpolated between the centers of its cells; cells have 1, 2, 4... pixels."""
@@ -710,7 +710,7 @@ def _composite(image, layer, cell, margin, made):
                     _composite_row(linear, upper, upper_share, more, more_share, below, target)
 
 
-@numba.njit(cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
+@kernel(error_model="numpy", fastmath=_FAST)
 @no_type_check
 def _fill_row(cells, cell, margin, light, share):
     """Interpolate a row of the layer for each value of a row of pixels; returns the largest coverage."""
@@ -734,7 +734,7 @@ def _fill_row(cells, cell, margin, light, share):
     return covered
 
 
-@numba.njit(cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
+@kernel(error_model="numpy", fastmath=_FAST)
 @no_type_check
 def _to_linear(levels, linear):
     """Linear light of sRGB levels, to 0.13 levels, by a polynomial (least squares) instead of a table.
@@ -751,7 +751,7 @@ def _to_linear(levels, linear):
         linear[i] = p if straight > np.float32(10.5 / (255 * 12.92)) else straight  # slower if integers are compared
 
 
-@numba.njit(cache=True, nogil=NOGIL, error_model="numpy", fastmath=_FAST)
+@kernel(error_model="numpy", fastmath=_FAST)
 @no_type_check
 def _composite_row(behind, light, share, more_light, more_share, below, target):
     """Composite linear light of a row of pixels, and convert it to sRGB levels, as `_to_linear`.

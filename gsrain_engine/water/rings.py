@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int32
 from scipy import special
 
-from ..kernels import NOGIL
+from ..kernels import kernel
 from ..scene.ground_water import GroundWater
 from .films import WaterDepth
 from .impacts import CELL_M, WATER_KG_M3, GroundImpacts, LandedDrops, cells_around
@@ -259,7 +259,7 @@ def _field_of(
     return RingField(corner, starts, members, centers, radii, slopes, distance_m, 1 / (_FADE * max(distance_m, 1e-6)))
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL)
+@kernel(parallel=True)
 @no_type_check
 def _fill_slopes(table, low, part, strength, slopes):
     for n in numba.prange(len(low)):
@@ -268,7 +268,7 @@ def _fill_slopes(table, low, part, strength, slopes):
             slopes[n, k] = ((np.float32(1) - share) * first[k] + share * second[k]) * factor
 
 
-@numba.njit(cache=True, nogil=NOGIL)
+@kernel()
 @no_type_check
 def _count_reached(centers, radii, starts):
     rows, columns = starts.shape[:2]
@@ -279,7 +279,7 @@ def _count_reached(centers, radii, starts):
                 starts[row, column, 0] += 1
 
 
-@numba.njit(cache=True, nogil=NOGIL)
+@kernel()
 @no_type_check
 def _list_reached(centers, radii, starts, members):
     rows, columns = starts.shape[:2]
@@ -295,7 +295,7 @@ _PER_CELL, _PER_RADIUS = np.float32(1 / _HASH_M), np.float32(1 / (RADII_M[1] - R
 _EIGHTH = np.float32(0.5 / 8 * PEAK_PER_M**2)
 
 
-@numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(error_model="numpy")
 @no_type_check
 def ring_slope(x, y, along_x, along_y, along_m, across_m, corner, starts, members, centers, radii, slopes):
     """Slopes along and across (to the left of) a direction on the ground, blurred by a pixel's footprint.

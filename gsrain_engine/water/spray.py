@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float64, Int64
 from scipy.special import ndtr, ndtri
 
-from ..kernels import NOGIL
+from ..kernels import kernel
 from ..rain.air import GRAVITY_M_S2, profile
 from ..rain.frame import RainFrame
 from ..rain.lamp_light import light_of_drops
@@ -471,7 +471,7 @@ def depths_along(
     return depths
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _depths_along(centers, sigmas, areas, directions, step_m, depths):
     """Add each parcel's integral over the intervals of a ray: a Gaussian across times that along it."""

@@ -11,7 +11,7 @@ import numba
 import numpy as np
 from jaxtyping import Float32, Int32, UInt8
 
-from ..kernels import NOGIL
+from ..kernels import kernel
 from ..scene.camera import Camera
 from ..scene.geometry import srgb_to_linear
 from .pane import Pane
@@ -109,7 +109,7 @@ def _light_of_lamps() -> Float32[np.ndarray, "256 2"]:
 # Kernels
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _find_lamps(image, tables, lamps, counts):
     """Write the mean light of lamps of each pixel of the glare, and the number of those with any in each row."""
@@ -144,7 +144,7 @@ def _find_lamps(image, tables, lamps, counts):
             counts[row] += np.int64(red + green + blue > 0)
 
 
-@numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(error_model="numpy")
 @no_type_check
 def _direction(x, y, pivot):
     """Unit vector in the picture along the line through the pivot."""
@@ -153,7 +153,7 @@ def _direction(x, y, pivot):
     return dx / length, dy / length
 
 
-@numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(error_model="numpy")
 @no_type_check
 def _draw_streaks(made, lamps, lit, pivot, length):
     """Draw the streak of each pixel that is brighter than three times the mean around it, which windows are not.
@@ -181,7 +181,7 @@ def _draw_streaks(made, lamps, lit, pivot, length):
                 _draw_streak(made, row, column, excess, pivot, length)
 
 
-@numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(error_model="numpy")
 @no_type_check
 def _sums_across(lamps, rows):
     """Sum of the pixels up to half a window to the left and to the right of each, in some rows."""
@@ -198,7 +198,7 @@ def _sums_across(lamps, rows):
     return sums
 
 
-@numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(error_model="numpy")
 @no_type_check
 def _draw_streak(made, from_row, from_column, light, pivot, length):
     dx, dy = _direction(from_column + 0.5, from_row + 0.5, pivot)
@@ -221,7 +221,7 @@ def _draw_streak(made, from_row, from_column, light, pivot, length):
                 made[i, j, channel] += share * light[channel]
 
 
-@numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(error_model="numpy")
 @no_type_check
 def _fill_taps(rows, columns, pivot, step, taps):
     for row in range(rows):
@@ -233,7 +233,7 @@ def _fill_taps(rows, columns, pivot, step, taps):
                 taps[row * columns + column, k + _TAPS] = int(y + 0.5) * columns + int(x + 0.5)
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _smear(light, taps, weights, made):
     for pixel in numba.prange(len(taps)):
@@ -246,7 +246,7 @@ def _smear(light, taps, weights, made):
         made[pixel, 0], made[pixel, 1], made[pixel, 2] = red, green, blue
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _add_streaks(layer, streaks, places, cell, margin, low, film_share, film_cell):
     last_row, last_column = streaks.shape[0] - 1, streaks.shape[1] - 1

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from gsrain_engine.compile_cache import KERNELS
+from gsrain_engine.compile_cache import kernel_names
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.edits.gaussians import box_around
 from gsrain_engine.editor.files import Files
@@ -113,12 +113,15 @@ def test_the_news_are_the_short_group_of_the_newest_changes():
     assert len(read_news().lines) > 3
 
 
+COUNT = len(kernel_names())
+
+
 def test_the_kernels_that_are_compiled_are_counted_while_a_file_opens(driver, monkeypatch):
     apply, bar, drawn = Editor.apply, imgui.progress_bar, []
 
     def apply_preparing(editor, result):
         apply(editor, result)
-        editor.viewport.is_preparing, editor.viewport.kernels = True, KERNELS // 2
+        editor.viewport.is_preparing, editor.viewport.kernels = True, COUNT // 2
 
     def draw_bar(fraction, *others):
         drawn.append(fraction)
@@ -127,8 +130,8 @@ def test_the_kernels_that_are_compiled_are_counted_while_a_file_opens(driver, mo
     monkeypatch.setattr(Editor, "apply", apply_preparing)
     monkeypatch.setattr(imgui, "progress_bar", draw_bar)
     monkeypatch.setattr(Files, "busy", "Opening crossing")
-    driver.editor.viewport.is_preparing, driver.editor.viewport.kernels = True, KERNELS // 2
+    driver.editor.viewport.is_preparing, driver.editor.viewport.kernels = True, COUNT // 2
     driver.ctx.yield_(3)
     monkeypatch.undo()
     driver.frames(3)
-    assert (KERNELS // 2) / KERNELS in drawn and any(each < 0 for each in drawn)
+    assert (COUNT // 2) / COUNT in drawn and any(each < 0 for each in drawn)

@@ -14,7 +14,7 @@ from typing import Any
 from imgui_bundle import ImVec2, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
-from gsrain_engine.compile_cache import KERNELS
+from gsrain_engine.compile_cache import kernel_names
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.jobs.job import Job, JobRunner, duration_text
 from gsrain_engine.editor.status import StatusBus
@@ -74,7 +74,7 @@ def _draw_busy(name: str, words: str, wide: float, kernels: int | None) -> None:
     """Draw a text over a bar: of the kernels that are compiled, or one that moves."""
     with card(name, wide, imgui.Col_.popup_bg, 0.94, imgui.ChildFlags_.borders):
         imgui.text_wrapped(words)
-        imgui.progress_bar(-imgui.get_time() if kernels is None else kernels / KERNELS, ImVec2(-1, 0), "")
+        imgui.progress_bar(-imgui.get_time() if kernels is None else kernels / len(kernel_names()), ImVec2(-1, 0), "")
 
 
 def _draw_problem(status: StatusBus, problem: str, wide: float) -> None:

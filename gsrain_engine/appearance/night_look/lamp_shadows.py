@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Float64
 from scipy import ndimage
 
-from ...kernels import NOGIL
+from ...kernels import kernel
 
 _MAX_CELLS = 3_000_000
 _WITHIN = (0.004, 0.996)  # quantiles of the places that bound the grid, along each axis
@@ -69,7 +69,7 @@ class OpacityGrid:
         return ndimage.map_coordinates(self.per_m, places, order=1, mode="constant").astype(np.float32)
 
 
-@numba.njit(cache=True, nogil=NOGIL, parallel=True, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _toward(per_m, corner, cell, lamp, points):
     left = np.empty(len(points), np.float32)
@@ -84,7 +84,7 @@ def _toward(per_m, corner, cell, lamp, points):
     return left
 
 
-@numba.njit(cache=True, nogil=NOGIL, parallel=True, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _from_afar(per_m, corner, cell, points, ways):
     left = np.empty((len(points), len(ways)), np.float32)
@@ -95,7 +95,7 @@ def _from_afar(per_m, corner, cell, points, ways):
     return left
 
 
-@numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(error_model="numpy")
 @no_type_check
 def _depth(per_m, corner, cell, start, x, y, z, length):
     """Optical depth of a ray from a point, without its first cells, up to a length or to the end of the grid."""

@@ -7,7 +7,7 @@ import numba
 import numpy as np
 from jaxtyping import Float32, Float64, Int64
 
-from ...kernels import NOGIL
+from ...kernels import kernel
 from ...scene.water_surface import WATER_INDEX, reflectance, unshadowed
 from ..base import Image, Plane
 from .reflections import PlanarReflection, focal_and_center
@@ -72,7 +72,7 @@ def glossy_reflection(
     return GlossyReflection(share[..., None] * mean, share)
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _integrate(points, normals, slopes, eye, pose, lens, depth, values, table, facets, color, share):
     height, width = slopes.shape

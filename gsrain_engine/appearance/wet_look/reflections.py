@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float32
 from scipy import ndimage
 
-from ...kernels import NOGIL
+from ...kernels import kernel
 from ...scene.camera import Camera
 from ..base import ClearView, Image, Plane
 from ..normals import view_rays
@@ -113,7 +113,7 @@ def focal_and_center(camera: Camera) -> tuple[float, float, float, float]:
     return float(camera.fx), float(camera.fy), float(camera.cx), float(camera.cy)
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _follow(solid, is_sky, pose, eye_lens, mirror_pose, mirror_lens, normal, offset, places, depth, found, left):
     rows, columns = solid.shape

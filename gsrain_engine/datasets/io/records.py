@@ -12,9 +12,8 @@ from typing import Any, no_type_check
 
 import numpy as np
 from jaxtyping import Float64, UInt8
-from numba import njit
 
-from ...kernels import NOGIL
+from ...kernels import kernel
 from ...optional_packages import MissingPackageError, import_package
 from ...safe_io.errors import SceneFormatError
 from ...safe_io.limits import InputError, check_expansion, check_file, open_file
@@ -167,7 +166,7 @@ def _table() -> np.ndarray:
 _TABLE = _table()
 
 
-@njit(cache=True, nogil=NOGIL)
+@kernel()
 @no_type_check
 def _crc32c(content, table):
     crc = np.uint32(0xFFFFFFFF)

@@ -13,9 +13,8 @@ from typing import Any, no_type_check
 
 import numpy as np
 from jaxtyping import Int64
-from numba import njit
 
-from ...kernels import NOGIL
+from ...kernels import kernel
 from ...safe_io.text_files import printable_line
 from ..capture import CaptureError
 from .arrays import read_bytes
@@ -64,7 +63,7 @@ def _lengths() -> Int64[np.ndarray, "256"]:
 _LENGTHS = _lengths()
 
 
-@njit(cache=True, nogil=NOGIL)
+@kernel()
 @no_type_check
 def _walk(content, lengths):
     """Position of the first instruction that is invalid or claims too much memory; -1 if there is none up to STOP.
@@ -109,7 +108,7 @@ def _walk(content, lengths):
     return size
 
 
-@njit(cache=True, nogil=NOGIL)
+@kernel()
 @no_type_check
 def _number(content, at, width):
     """Little-endian number; negative if it exceeds any possible file size."""

@@ -95,7 +95,7 @@ class DrawResult:
     is_preparing: bool = False
     """True while kernels are compiled for the renderer of the next pictures, and OpenGL draws without rain."""
     kernels: int | None = None
-    """Number of kernels that are compiled so far, of about `KERNELS`; None if it is unknown, or none are missing."""
+    """Number of kernels that are compiled so far, of `kernel_names`; None if it is unknown, or none are missing."""
     is_settled: bool = False
     """True if no other back end takes over from the active one."""
     has_cuts: bool = False

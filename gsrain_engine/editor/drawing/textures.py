@@ -1,8 +1,8 @@
 """Textures of captures, jobs and CPU renders, and capture points, in the window's OpenGL context and thread."""
 
 import logging
-import multiprocessing
 import threading
+import time
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import replace
@@ -13,7 +13,8 @@ import numpy as np
 from jaxtyping import UInt8
 
 from ...choices import RenderMode
-from ...compile_cache import compiled_kernels, has_kernels, mark_kernels, stores_kernels
+from ...compile_cache import compiled_kernels, has_kernels, mark_kernels
+from ...kernel_helpers import KernelHelpers
 from ...rain.frame import RainCamera
 from ...rain.settings import RainSettings
 from ...rain.simulation import OVERCAST, RainSimulation
@@ -220,19 +221,18 @@ _COUNT_S = 0.5  # between reports
 
 
 def load_kernels(report: Callable[[int], object] = lambda _count: None) -> None:
-    """Load all kernels of a picture; those that are missing are compiled by another process first.
+    """Load all kernels of a picture; those that are missing are compiled by other processes first.
 
     The compiler holds Python's lock, so that in this process it would stop the interface. `report` is called with the
     number of kernels that are compiled so far.
     """
     with _loading:
-        if not has_kernels() and stores_kernels():
+        if not has_kernels():
             with suppress(OSError):  # no process can be started: this one compiles
-                process = multiprocessing.get_context("spawn").Process(target=compile_kernels, daemon=True)
-                process.start()
-                while process.is_alive():
+                helpers = KernelHelpers()
+                while helpers.are_running:
                     report(compiled_kernels())
-                    process.join(_COUNT_S)
+                    time.sleep(_COUNT_S)
         compile_kernels()
 
 

@@ -5,11 +5,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple, no_type_check
 
-import numba
 import numpy as np
 from jaxtyping import Float32, Float64, Int64
 
-from ...kernels import NOGIL
+from ...kernels import kernel
 from ...render.view import RenderView
 from ...scene.camera import Camera
 from ...scene.flags import BitMask
@@ -98,7 +97,7 @@ def _distance(read: AttributeInputs) -> np.ndarray:
     return np.sqrt(x * x + y * y + z * z)
 
 
-@numba.njit(cache=True, nogil=NOGIL)
+@kernel()
 @no_type_check
 def _hues(colors):
     """Hue of each color in degrees, 0 <= hue < 360; 0 for grays."""

@@ -7,11 +7,10 @@ from itertools import pairwise
 from typing import Literal, no_type_check
 
 import cv2
-import numba
 import numpy as np
 from jaxtyping import Bool, Float32, Float64
 
-from ...kernels import NOGIL
+from ...kernels import kernel
 from ...render.cpu.compositing import color_operator, color_operator_transpose
 from ...render.cpu.projection import project
 from ...render.cpu.splats import NEAR_M
@@ -84,7 +83,7 @@ def camera_depths(part: DrawItem, camera: Camera) -> Float64[np.ndarray, " n"]:
     return part.gaussians.means @ row[:3] + row[3]
 
 
-@numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(error_model="numpy")
 @no_type_check
 def _find_centers(means, m, intrinsics, pixels, depth, flags):
     """Flag Gaussian centers that project onto flagged pixels, between the near plane and a maximum depth."""
@@ -102,7 +101,7 @@ def _find_centers(means, m, intrinsics, pixels, depth, flags):
                 flags[i] = pixels[int(v), int(u)]
 
 
-@numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(error_model="numpy")
 @no_type_check
 def _find_ellipses(shapes, colors, pixels, depth, flags):
     """Flag splats whose center, or one of eight points on their ellipse of one standard deviation, is flagged."""

@@ -3,12 +3,11 @@
 from dataclasses import dataclass, replace
 from typing import no_type_check
 
-import numba
 import numpy as np
 import scipy
 from jaxtyping import Bool, Float64, Int64
 
-from ...kernels import NOGIL
+from ...kernels import kernel
 from ...scene.flags import BitMask
 from ...scene.scene import DrawItem, Scene
 from ..edits.gaussians import CropBox
@@ -68,7 +67,7 @@ def in_volume(scene: Scene, time_s: float, volume: Volume) -> dict[str, BitMask]
     return found
 
 
-@numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(error_model="numpy")
 @no_type_check
 def _find_inside(means, m, is_round, flags):
     """Flag Gaussian centers that a matrix maps into the unit sphere, or into the cube from -1 to 1."""
@@ -169,7 +168,7 @@ def flood_select(
     return _masks(own, rows[flags])
 
 
-@numba.njit(cache=True, nogil=NOGIL)
+@kernel()
 @no_type_check
 def connected_cells(cells: Int64[np.ndarray, "m 3"], seed: int) -> Bool[np.ndarray, " m"]:
     """Flag the points whose cells connect to the seed's through neighbors, by a hash table at most half full."""
@@ -198,13 +197,13 @@ def connected_cells(cells: Int64[np.ndarray, "m 3"], seed: int) -> Bool[np.ndarr
     return reached[slots]
 
 
-@numba.njit(cache=True, nogil=NOGIL)
+@kernel()
 @no_type_check
 def _key(x, y, z):
     return ((x + _EDGE) << 42) | ((y + _EDGE) << 21) | (z + _EDGE)
 
 
-@numba.njit(cache=True, nogil=NOGIL)
+@kernel()
 @no_type_check
 def _slot(keys, key):
     mixed = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int8, Int64
 
 from ...datasets.capture import EGO_HEIGHT_M, Capture, LidarSweep
-from ...kernels import NOGIL
+from ...kernels import kernel
 from ...rain.frame import RainCamera
 from ...rain.simulation import RainSimulation
 from ...rain.wetness import water_depth_mm
@@ -309,7 +309,7 @@ def _surfaces_met(
     return np.where(there, found[:, 0] / own[:, 2], np.inf), found[:, 1:] @ turn
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL)
+@kernel(parallel=True)
 @no_type_check
 def _meet(shapes, starts, members, columns, planes, is_sky, rays, places, found):
     """Write the depth along the view axis, 0 without a surface, and the unit normal that each ray hits."""

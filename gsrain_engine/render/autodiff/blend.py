@@ -6,7 +6,7 @@ import numba
 import numpy as np
 from jaxtyping import Float
 
-from ...kernels import NOGIL
+from ...kernels import kernel
 from ..cpu.compositing import add_lanes, add_pairs, composite
 from ..cpu.fast_math import FAST
 from ..cpu.tiles import MAX_ALPHA, TILE, TileLists, absorb, alpha_at, nothing, walk_pixels, walk_tiles
@@ -57,7 +57,7 @@ def blend_backward(
 # pixel's result times its gradient.
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
+@kernel(parallel=True, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _blend_backward(tiles, shapes, channels, data):
     walk_tiles(tiles, shapes, channels, 7, _SUMS, _load, _sum_splat, nothing, data)

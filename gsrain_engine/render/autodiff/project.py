@@ -6,7 +6,7 @@ import numba
 import numpy as np
 from jaxtyping import Float, Float64
 
-from ...kernels import NOGIL
+from ...kernels import kernel
 from ...scene.camera import Camera
 from ..cpu import projection
 from ..cpu.projection import dot, in_camera, jacobian
@@ -54,7 +54,7 @@ def eye_of(world_to_camera: Float64[np.ndarray, "4 4"]) -> Float64[np.ndarray, "
     return np.linalg.solve(world_to_camera[:3, :3], -world_to_camera[:3, 3])
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _project(means, scales, quaternions, opacities, colors, display, m, eye, intrinsics, shapes, channels, radii):
     for chunk in numba.prange((len(means) + CHUNK - 1) // CHUNK):
@@ -179,7 +179,7 @@ def project_backward(
     return found, on_screen, pose
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _project_back(
     means, scales, quaternions, opacities, colors, display, shapes, channels, radii, sums, m, eye, intrinsics,
@@ -289,7 +289,7 @@ def sh_backward(
     return by_colors, by_display
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _colors_back(means, channels, radii, sums, eye, by_colors, by_display):
     for chunk in numba.prange((len(means) + CHUNK - 1) // CHUNK):

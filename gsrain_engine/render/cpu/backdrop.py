@@ -13,7 +13,7 @@ import numba
 import numpy as np
 from jaxtyping import Float32
 
-from ...kernels import NOGIL
+from ...kernels import kernel
 from ...rain.medium import RainMedium
 from ...scene.camera import Camera
 from ...scene.scene import DrawItem
@@ -106,7 +106,7 @@ _DEPTH, _ALPHA = RAIN_LINES * TILE, (RAIN_LINES + 1) * TILE
 _LINES = RAIN_LINES + 2
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
+@kernel(parallel=True, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _composite_over(tiles, shapes, channels, images):
     walk_columns(tiles, shapes, channels, _LINES, _enter, _visit_over, _store_over, images)

@@ -8,7 +8,7 @@ import numba
 import numpy as np
 from jaxtyping import Float32, Int64
 
-from ...kernels import NOGIL
+from ...kernels import kernel
 from ...scene.gaussians import Gaussians, IdentityKey
 from ...scene.mapped_arrays import is_mapped, release_pages
 
@@ -164,14 +164,14 @@ def _forget_wet_colors(entry: _Entry) -> None:
         entry.cache.drop()
 
 
-@numba.njit(cache=True, nogil=NOGIL)
+@kernel()
 @no_type_check
 def _mark(members, flags):
     for n in range(len(members)):
         flags[members[n] >> _SHIFT] = True
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL)
+@kernel(parallel=True)
 @no_type_check
 def _translate(members, slots, rows):
     for n in numba.prange(len(members)):

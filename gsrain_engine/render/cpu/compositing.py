@@ -8,7 +8,7 @@ import numba
 import numpy as np
 from jaxtyping import Float, Float32, Int32
 
-from ...kernels import NOGIL
+from ...kernels import kernel
 from ...rain.medium import RainMedium, depth_behind_scene, less_drawn, without_drawn
 from ...scene.camera import Camera
 from ...scene.geometry import linear_to_srgb
@@ -143,7 +143,7 @@ def _with_film(channels: Float32[np.ndarray, "m 4"], film: Film) -> Float32[np.n
     return joined
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL)
+@kernel(parallel=True)
 @no_type_check
 def _join(channels, film, joined):
     for i in numba.prange(len(joined)):
@@ -156,31 +156,31 @@ def _join(channels, film, joined):
 # open share, the rain's share and the scene's share before rain; with a veil only the rain's share, and no film.
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
+@kernel(parallel=True, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _composite(tiles, shapes, channels, images):
     walk_columns(tiles, shapes, channels, 6, nothing, _visit, _store, images)
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
+@kernel(parallel=True, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _composite_rain(tiles, shapes, channels, images):
     walk_columns(tiles, shapes, channels, RAIN_LINES, open_to_rain, _visit_in_rain, store_rain, images)
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
+@kernel(parallel=True, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _composite_lit_rain(tiles, shapes, channels, images):
     walk_columns(tiles, shapes, channels, _LIT_LINES, open_to_rain, _visit_in_lit_rain, _store_lit_rain, images)
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
+@kernel(parallel=True, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _composite_veil(tiles, shapes, channels, images):
     walk_columns(tiles, shapes, channels, 7, nothing, _visit_behind_veil, _store_veil, images)
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
+@kernel(parallel=True, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _composite_wet(tiles, shapes, channels, images):
     walk_columns(tiles, shapes, channels, 8, nothing, _visit_wet, _store_wet, images)
@@ -460,7 +460,7 @@ def dim_by_medium(splats: Splats, camera: Camera, medium: RainMedium, *, is_line
 _BLOCK = 1024  # splats that are copied to contiguous numbers, which LLVM vectorizes
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
+@kernel(parallel=True, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _dim_by_medium(shapes, colors, intrinsics, numbers, drawn, light, is_linear):
     for block in numba.prange((len(colors) + _BLOCK - 1) // _BLOCK):
@@ -480,7 +480,7 @@ def _dim_by_medium(shapes, colors, intrinsics, numbers, drawn, light, is_linear)
                 colors[start + i, channel] = lines[0, i]
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
+@kernel(parallel=True, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _mix_airlights(colors, shares, light, is_linear):
     """Change colors in place by the share of light that arrives from each, of which there may be any number."""
@@ -529,7 +529,7 @@ def add_light(rgba: Float32[np.ndarray, "h w 4"], light: Float32[np.ndarray, "h 
     _add_light(rgba, light)
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
+@kernel(parallel=True, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _add_light(rgba, light):
     height, width = light.shape[:2]
@@ -563,7 +563,7 @@ def sky_layer(medium: RainMedium, camera: Camera) -> SkyLayer:
     return SkyLayer(shares, color)
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
+@kernel(parallel=True, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _write_sky(shares, intrinsics, floor, numbers, drawn):
     height, width = shares.shape
@@ -601,13 +601,13 @@ def color_operator_transpose(
     return add_pairs(tiles.members, by_pair, len(shapes))
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
+@kernel(parallel=True, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _accumulate(tiles, shapes, data):
     walk_tiles(tiles, shapes, shapes[:0, :0], 4, 3, _load, _sum_image, nothing, data)
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
+@kernel(parallel=True, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _accumulate_with_squares(tiles, shapes, data):
     walk_tiles(tiles, shapes, shapes[:0, :0], 4, 4, _load, _sum_squares, nothing, data)
@@ -686,7 +686,7 @@ def add_pairs(
     return sums
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _add_pairs(members, by_pair, sums, shares):
     """Each thread goes through all pairs but owns a range of splats, so that no row is written by two."""

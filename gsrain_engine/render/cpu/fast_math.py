@@ -9,7 +9,7 @@ from llvmlite import ir
 from numba import extending, types
 from numba.core import cgutils
 
-from ...kernels import NOGIL
+from ...kernels import kernel
 
 FAST = {"contract", "nsz", "arcp"}
 """Rounding freedom of the kernels: fused multiply-add and reciprocals, but no change of infinities or order."""
@@ -171,7 +171,7 @@ def sh_basis(x: np.float32, y: np.float32, z: np.float32, coefficients: int, bas
         basis[15] = np.float32(-0.5900435899266435) * x * (x * x - np.float32(3) * y * y)
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def harmonics(directions: Float32[np.ndarray, "m 3"], coefficients: int) -> Float32[np.ndarray, "m k"]:
     """Evaluate the first 1, 4, 9 or 16 harmonics in unit directions, eye to Gaussian, in the object's own frame."""

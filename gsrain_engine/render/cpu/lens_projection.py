@@ -12,7 +12,7 @@ import numba
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from ...kernels import NOGIL
+from ...kernels import kernel
 from ...scene.camera import Camera
 from ...scene.lens import lens_numbers, view_bounds
 from ...scene.lens_kernels import bent_place
@@ -116,7 +116,7 @@ def lens_candidates(part: DrawItem, pose: RollingPose, view: LensView, *, as_poi
     return np.flatnonzero(flags)
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _flag_in_cone(means, scales, opacities, left_out, faintest, m, scale, angle, slack, flags):
     """Flag Gaussians that reach into the cone of the view, each treated as a ball."""
@@ -135,7 +135,7 @@ def _flag_in_cone(means, scales, opacities, left_out, faintest, m, scale, angle,
             flags[i] = near and opacities[i] > faintest and not (len(left_out) > 0 and has_bit(left_out, i))
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def project_through_lens(
     members, means, scales, quaternions, opacities, sh, wet_sh, wetness, rain, opacity, change, selected, as_points,

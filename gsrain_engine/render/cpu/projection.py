@@ -7,7 +7,7 @@ import numba
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
 
-from ...kernels import NOGIL
+from ...kernels import kernel
 from ...scene.camera import Camera
 from ...scene.scene import DrawItem
 from .block_cache import BlockCaches
@@ -153,7 +153,7 @@ def _candidates(
     return np.flatnonzero(flags)
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _flag_chunks(first, last, means, scales, opacities, left_out, faintest, m, scale, intrinsics, flags):
     for chunk in numba.prange((last - first + CHUNK - 1) // CHUNK):
@@ -162,7 +162,7 @@ def _flag_chunks(first, last, means, scales, opacities, left_out, faintest, m, s
         _flag_range(start, end, means, scales, opacities, left_out, faintest, m, scale, intrinsics, flags)
 
 
-@numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(error_model="numpy")
 @no_type_check
 def _flag_range(first, last, means, scales, opacities, left_out, faintest, m, scale, intrinsics, flags):
     """Flag Gaussians near the image, each treated as a ball with the radius of its longest axis."""
@@ -185,7 +185,7 @@ def _flag_range(first, last, means, scales, opacities, left_out, faintest, m, sc
             flags[i] = flags[i] and not has_bit(left_out, i)
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _project_chunks(
     first, last, members, means, scales, quaternions, opacities, sh, wet_sh, wetness, rain, opacity, change, selected,
@@ -199,7 +199,7 @@ def _project_chunks(
         )  # fmt: skip
 
 
-@numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(error_model="numpy")
 @no_type_check
 def _project_range(
     first, last, members, means, scales, quaternions, opacities, sh, wet_sh, wetness, rain, opacity, change, selected,

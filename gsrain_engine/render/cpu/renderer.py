@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float32, Int32, UInt8
 
 from ...choices import RenderMode
-from ...kernels import NOGIL
+from ...kernels import kernel
 from ...malloc_tuning import tune_malloc
 from ...rain.frame import RainFrame
 from ...rain.lamp_light import LampLight, light_in_picture, share_of_depth
@@ -293,7 +293,7 @@ def _color_by_mode(mode: RenderMode, splats: Splats, parts: Sequence[DrawItem], 
     return replace(splats, colors=colors)
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _normal_colors(rows, members, means, scales, quaternions, to_world, eye, colors):
     """Write 0.5 + 0.5 n of each Gaussian's shortest axis n in the world, facing the eye, to `rows` of `colors`."""
@@ -323,7 +323,7 @@ SURFACE_ALPHA = 1 / 4  # alpha on the surface of a Gaussian's ellipsoid
 _LOG_SURFACE_ALPHA = np.float32(np.log(SURFACE_ALPHA))
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
+@kernel(parallel=True, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _count(tiles, shapes, counts):
     """Count the splats per pixel whose alpha is not below their cut, including those behind opaque ones."""
@@ -351,7 +351,7 @@ def _store_counts(state, x0, y0, counts):
             counts[y0 + v, x0 + u] = state[u, TILE + v]
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy", fastmath=FAST)
+@kernel(parallel=True, error_model="numpy", fastmath=FAST)
 @no_type_check
 def _cover(tiles, shapes, colors, rgba):
     """Color each pixel by the nearest splat whose alpha there is at least `SURFACE_ALPHA`, with an alpha of 1.

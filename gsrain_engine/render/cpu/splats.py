@@ -7,7 +7,7 @@ import numba
 import numpy as np
 from jaxtyping import Float, Float32, Float64, Int32, Int64, UInt32
 
-from ...kernels import NOGIL
+from ...kernels import kernel
 from ...scene.camera import Camera
 from ...scene.flags import BitMask
 from ...scene.scene import DrawItem
@@ -82,7 +82,7 @@ def nearest_first(depths: Float[np.ndarray, " m"]) -> Int32[np.ndarray, " drawn"
 _DIGITS, _PARTS = 3, 16  # passes of the sort; parts of the rows, which are processed in parallel
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL)
+@kernel(parallel=True)
 @no_type_check
 def _radix_sort(bits):
     """Rows with bits other than 0, sorted by them: a stable radix sort from the lowest digit on.

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float32, Int32, Int64
 from numba.cpython.unsafe.numbers import trailing_zeros
 
-from ...kernels import NOGIL
+from ...kernels import kernel
 from .fast_math import FAST, ROOT, exponential_of_root, stack_lines
 from .splats import MIN_SCENE_CUT
 
@@ -62,7 +62,7 @@ def bin_into_tiles(
     return TileLists(width, height, starts, members)
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _count(shapes, order, columns, rows, counts, corners, masks):
     """Count each tile's splats. For each splat store the first tile of the box around it, and a mask of touched ones.
@@ -117,7 +117,7 @@ def _count(shapes, order, columns, rows, counts, corners, masks):
                 corners[k], masks[k] = corner, mask
 
 
-@numba.njit(parallel=True, cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _write(shapes, order, columns, rows, corners, masks, places, members):
     """Write each splat to the places of the tiles that it touches, and advance those by one."""

@@ -11,7 +11,7 @@ import numba
 import numpy as np
 from jaxtyping import Float, Float64
 
-from ...kernels import NOGIL
+from ...kernels import kernel
 from ...scene.camera import Camera
 from ...scene.gaussians import SH_C0, Gaussians
 from ...scene.geometry import linear_to_srgb, quaternions_from_matrices
@@ -129,7 +129,7 @@ def _cells(
     return DrawItem(gaussians, np.eye(4))
 
 
-@numba.njit(cache=True, nogil=NOGIL, parallel=True, error_model="numpy")
+@kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _light_cells(light, water, distances, azimuths, eye, rows, fixed, albedo, wet):
     """Matte light and light by full cover of water from cells of the ground (z = 0) to the eye, linear."""
@@ -164,7 +164,7 @@ def _light_cells(light, water, distances, azimuths, eye, rows, fixed, albedo, we
                     water[i, k, channel] += share * rows[n, 6 + channel]
 
 
-@numba.njit(cache=True, nogil=NOGIL, error_model="numpy")
+@kernel(error_model="numpy")
 @no_type_check
 def reflected(ox, oy, view, lx, ly, lz):
     """Radiance of wet ground by the irradiance of a lamp on a plane that faces it.

@@ -11,11 +11,10 @@ from io import BufferedReader
 from pathlib import Path
 from typing import Any, NamedTuple, no_type_check
 
-import numba
 import numpy as np
 from jaxtyping import Float, Float32, Float64, Int64
 
-from ...kernels import NOGIL
+from ...kernels import kernel
 from ...safe_io.errors import SceneFormatError
 from ...safe_io.limits import open_file
 from ..gaussians import COEFFICIENTS_OF_DEGREE, Gaussians, sh_from_color
@@ -410,7 +409,7 @@ def _copy_rows(rows: Float32[np.ndarray, "r p"], columns: Int64[np.ndarray, " c"
     _spread(rows, columns, means, scales, quaternions, opacities, sh.reshape(len(rows), 3 * sh.shape[1]))
 
 
-@numba.njit(cache=True, nogil=NOGIL)
+@kernel()
 @no_type_check
 def _spread(rows, columns, means, scales, quaternions, opacities, sh):
     """Copy the numbers of a file, one row at a time: by columns, each number would touch a cache line.
