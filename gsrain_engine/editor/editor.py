@@ -34,6 +34,7 @@ from .preferences import PreferencesStore
 from .rain import CalibrationTools
 from .rain_tracks import RainTracks
 from .recorder import RenderQueue
+from .scene_edits import SceneEdits
 from .scene_setup import SceneSetup
 from .selection.commands import SelectionTool
 from .status import StatusBus, logger
@@ -80,6 +81,7 @@ class Editor:
         self.floaters = FloaterFinder(self.document, self.jobs)
         self.lamps = LampFinder(self.document, self.jobs)
         self.night_look = NightLook(self.document, self.jobs)
+        self.scene_edits = SceneEdits(self.document, self.jobs)
         self.wet_look = WetLookController(
             self.viewport, self.live_rain, self.captures, self.jobs, self.files, self.status
         )

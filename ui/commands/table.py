@@ -6,6 +6,7 @@ nothing, so that the window opens, and `gsrain --help` prints, at once.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from importlib import import_module
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any
@@ -14,6 +15,7 @@ from ..parts import bind_parts
 
 if TYPE_CHECKING:
     from gsrain_engine.editor.editor import Editor
+    from gsrain_engine.editor.scene_edits import InstalledEdit
 
 Function = Callable[..., Any] | str
 """A function of the editor's parts that its parameters name, or its place."""
@@ -547,6 +549,36 @@ COMMAND_GROUPS: tuple[tuple[Command, ...], ...] = (
 
 
 COMMANDS = tuple(command for group in COMMAND_GROUPS for command in group)
+
+
+def all_command_groups() -> tuple[tuple[Command, ...], ...]:
+    """Return `COMMAND_GROUPS`, and one of the scene edits of installed packages."""
+    return (*COMMAND_GROUPS, _commands_of(tuple(function_at("gsrain_engine.editor.steps:added_edits")())))
+
+
+def all_commands() -> tuple[Command, ...]:
+    return tuple(command for group in all_command_groups() for command in group)
+
+
+@lru_cache(maxsize=4)
+def _commands_of(edits: "tuple[InstalledEdit, ...]") -> tuple[Command, ...]:
+    """Return the commands of edits; those with the name of another command are omitted and logged."""
+    made: dict[str, Command] = {}
+    for edit in edits:
+        title = edit.declared.title
+        if title in made or any(each.name == title for each in COMMANDS):
+            function_at("gsrain_engine.plugins:warn_once")(str(edit.extension.unfit(f"there is a command {title!r}")))
+        else:
+            made[title] = _scene_edit(edit)
+    return tuple(made.values())
+
+
+def _scene_edit(edit: "InstalledEdit") -> Command:
+    return Command(
+        edit.declared.title, lambda scene_edits: scene_edits.start(edit), "Scene", "", edit.declared.summary,
+        lambda scene_edits: scene_edits.is_possible(edit), edit=edit.name,
+    )  # fmt: skip
+
 
 # The command line
 
