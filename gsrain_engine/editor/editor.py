@@ -29,7 +29,6 @@ from .lamps import LampFinder
 from .live_rain import LiveRain
 from .make_rainy import WetLookController
 from .matching import MatchingController
-from .night import NightLook
 from .preferences import PreferencesStore
 from .rain import CalibrationTools
 from .rain_tracks import RainTracks
@@ -80,7 +79,6 @@ class Editor:
         self.scene_setup = SceneSetup(self.document, self.viewport)
         self.floaters = FloaterFinder(self.document, self.jobs)
         self.lamps = LampFinder(self.document, self.jobs)
-        self.night_look = NightLook(self.document, self.jobs)
         self.scene_edits = SceneEdits(self.document, self.jobs)
         self.wet_look = WetLookController(
             self.viewport, self.live_rain, self.captures, self.jobs, self.files, self.status

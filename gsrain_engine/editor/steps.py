@@ -123,7 +123,6 @@ EDITS: Mapping[str, Edit] = {
     "set-rain-interpolation": Edit("edits.rain_keyframes:set_interpolation", "keyframes"),
     "add-shower": Edit("edits.rain_keyframes:add_shower", "keyframes"),
     "wet-look": Edit("background_edits:apply_wet_look"),
-    "night": Edit("background_edits:relight_by_night"),
     "recolor": Edit("background_edits:recolor_to_images"),
     "reconstruct": Edit("background_edits:reconstruct"),
 }
