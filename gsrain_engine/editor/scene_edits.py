@@ -34,7 +34,7 @@ class SceneEdit:
     thread. It raises ValueError with one sentence where it refuses a scene.
     """
     is_possible: Callable[[Scene], bool] = lambda scene: scene.gaussian_count > 0
-    """Returns quickly whether a scene can be edited: the window asks in each frame of its menu."""
+    """Returns whether a scene can be edited, in microseconds: the window asks in each frame of its menu."""
 
     def __post_init__(self) -> None:
         types = get_type_hints(self.work)
@@ -134,8 +134,8 @@ def _differences(before: Scene, made: Scene) -> str:
 def _with_changes(before: Scene, made: Scene, now: Scene) -> Scene | None:
     """Return the scene as it is now with what an edit has changed in it as it was before.
 
-    Locks, selection, camera path and the like may have changed meanwhile. None if geometry, colors or lamps have, or
-    what the edit has changed, too; or if it has removed or added Gaussians of a member and anything has changed.
+    Locks, selection, camera path and the like may have changed meanwhile. None if geometry, colors, names or lamps
+    have, or what the edit has changed, too; or if it has removed or added Gaussians of a member and anything has.
     """
     if now is before:
         return made
