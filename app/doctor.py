@@ -480,6 +480,7 @@ _KINDS = {
     plugins.CAPTURE_FORMATS: "gsrain_engine.datasets.open_capture:CaptureFormat",
     plugins.DRIVE_EXPORTS: "gsrain_engine.simulation.drive_exports:DriveExport",
     plugins.MODELS: "gsrain_engine.scene.models:ModelLibrary",
+    plugins.SCENE_EDITS: "gsrain_engine.editor.scene_edits:SceneEdit",
     plugins.SCENES: "gsrain_engine.scene.built_in:BuiltInScene",
     plugins.PROTOCOLS: "gsrain_engine.simulation.serving.protocols:ServerProtocol",
 }

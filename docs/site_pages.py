@@ -88,10 +88,10 @@ def commands_page() -> str:
 
 def window_table() -> str:
     """Write the commands of the window, with what does the same elsewhere, from the table of commands."""
-    from ui.commands.table import COMMANDS
+    from ui.commands.table import all_commands
 
     rows = ["| in the window | keys | command line | Python |", "|---|---|---|---|"]
-    for each in COMMANDS:
+    for each in all_commands():
         shell = f"`gsrain edit` `{each.edit}`" if each.edit else f"`gsrain {each.shell}`" if each.shell else ""
         python = f"`gr.{each.python}`" if each.python else f'`gr.edit(scene, "{each.edit}")`' if each.edit else ""
         name = f"{each.menu} > {each.name}" if each.menu else each.name

@@ -50,7 +50,6 @@ from .scenes import edit as edit
 from .scenes import home_camera as home_camera
 from .scenes import load as load
 from .scenes import look_at as look_at
-from .scenes import night as night
 from .scenes import save as save
 from .scenes import sh_from_color as sh_from_color
 from .scenes import wet as wet

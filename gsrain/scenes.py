@@ -31,7 +31,6 @@ from gsrain_engine.scene.camera import Camera as Camera
 from gsrain_engine.scene.camera_path_io import read_camera_path, write_camera_path
 from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.scene.gaussians import Gaussians as Gaussians
-from gsrain_engine.scene.lamp_choice import lamp_choice
 from gsrain_engine.scene.lamps import Lamp as Lamp
 from gsrain_engine.scene.open import load_scene, load_sorted_scene
 from gsrain_engine.scene.progress import Progress as Progress
@@ -148,30 +147,6 @@ def wet(
         raise ValueError(f"method {method!r} needs the argument {row.needs}=")
     choice: ViewChoice = msgspec.convert({"count": views}, ViewChoice)
     return run_to_end(rainy_by(scene, TransferRequest(method, chosen, choice)), progress)
-
-
-@checked
-def night(
-    scene: Scene,
-    *,
-    lamps: Sequence[Lamp] | Path | str | None = None,
-    progress: Callable[[Progress], object] | None = None,
-) -> Scene:
-    """Relight a scene that was recorded by day as by night, with dry and wet colors, a dark sky and its lamps.
-
-    Args:
-        scene: The scene by day; its geometry stays.
-        lamps: Lamps, or a file of them; None takes the scene's own, else lanterns along a drive, else two lamps around
-            an object. Those on vehicles light rain and water, not surfaces.
-        progress: Called with each step: `fraction` (0..1) and `message`.
-
-    Raises:
-        ValueError: For a scene that is dark already, and a file of lamps that can't be read.
-    """
-    from gsrain_engine.appearance.night_look.night_gaussians import night_scene  # loads slow parts of scipy
-
-    given = lamp_choice(str(lamps)).of(scene) if isinstance(lamps, str | Path) else lamps
-    return run_to_end(night_scene(scene, given), progress)
 
 
 @checked

@@ -36,13 +36,14 @@ MODELS = EntryPointGroup("gsrain.models", "library of models")
 PANELS = EntryPointGroup("gsrain.panels", "panel")
 PROTOCOLS = EntryPointGroup("gsrain.protocols", "protocol")
 SCENARIO_FORMATS = EntryPointGroup("gsrain.scenario_formats", "scenario format")
+SCENE_EDITS = EntryPointGroup("gsrain.scene_edits", "scene edit")
 SCENE_FORMATS = EntryPointGroup("gsrain.scene_formats", "scene format")
 SCENES = EntryPointGroup("gsrain.scenes", "scene")
 SETTINGS = EntryPointGroup("gsrain.settings", "kind of settings")
 TRANSFERS = EntryPointGroup("gsrain.transfers", "transfer")
 GROUPS = (
     AGENTS, CAPTURE_FORMATS, COMMANDS, DECODERS, DISDROMETERS, DRIVE_EXPORTS, EVALUATIONS, MODELS, PANELS, PROTOCOLS,
-    SCENARIO_FORMATS, SCENE_FORMATS, SCENES, SETTINGS, TRANSFERS,
+    SCENARIO_FORMATS, SCENE_EDITS, SCENE_FORMATS, SCENES, SETTINGS, TRANSFERS,
 )  # fmt: skip
 """All groups; docs/extending.md has an example of each."""
 

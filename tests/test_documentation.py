@@ -22,7 +22,9 @@ from ui.tools import TOOLS
 
 OF_EXTENSIONS = {"contrast", "NAME", "count", "site"}
 """Commands, evaluations and settings of the examples in docs/extending.md."""
-OF_EXTENSIONS |= {"streaks", "rain-gauge"} - {each.name for each in plugins.find_extensions(plugins.EVALUATIONS)}
+OF_EXTENSIONS |= {"streaks", "rain-gauge", "night"} - {
+    each.name for group in (plugins.EVALUATIONS, plugins.COMMANDS) for each in plugins.find_extensions(group)
+}
 SITE = yaml.safe_load((REPOSITORY / "mkdocs.yml").read_text(encoding="utf-8"))
 LISTED = [each for page in PAGES for each in commands_of(page)]
 

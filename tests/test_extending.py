@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 import tomllib
+from contextlib import closing
 from io import BytesIO
 from urllib.request import urlopen
 
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import gsrain as gr
 from app.doctor import describe, installed_extensions
 from app.main import BAD_INPUT, run
 from app.schema import settings_type
@@ -22,6 +24,8 @@ from gsrain_engine.appearance.registry import usable_methods
 from gsrain_engine.datasets.open_capture import capture_format, open_capture
 from gsrain_engine.datasets.open_source import names_scene
 from gsrain_engine.disdrometer.open import read_disdrometer
+from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.steps import steps_since
 from gsrain_engine.fields import fields_of
 from gsrain_engine.plugins import GROUPS
 from gsrain_engine.rain.settings import RainSettings
@@ -38,6 +42,7 @@ from gsrain_engine.simulation.simulation import Simulation, run_drive
 from gsrain_engine.simulation.traffic.appearance import vehicle_model
 from repository import REPOSITORY
 from small_scene import small_scene
+from ui.commands.table import all_command_groups, all_commands
 
 PAGE = REPOSITORY / "docs" / "extending.md"
 BLOCKS = titled_blocks(PAGE)
@@ -100,6 +105,28 @@ def test_transfers_are_methods(rain_lab, scene, tmp_path):
     far = view.clear.depth > 20
     assert far.any() and view.image[far].std() < 0.9 * view.clear.image[far].std()
     assert usable_methods()[-1].title == "Mist"
+
+
+def test_edits_are_commands_of_shell_python_and_window(rain_lab, scene, tmp_path, capsys):
+    before = read_scene(scene)
+    assert run(["edit", str(scene), "fade share=0.8", "-o", str(tmp_path / "faded")]) == run(["edit", "--list"]) == 0
+    assert "fade [share=0.5]\n    Mix all colors with gray, as through thin fog." in capsys.readouterr().out
+    made = read_scene(tmp_path / "faded"), gr.edit(before, "fade", share=0.8)
+    for each in before.members:
+        paler = 0.2 * np.sort(each.gaussians.sh.ravel())  # files are in drawing order
+        assert all(np.allclose(np.sort(m.member(each.key).gaussians.sh.ravel()), paler, atol=1e-6) for m in made)
+    assert "share" in refused(capsys, "edit", scene, "fade share=2", "-o", tmp_path / "no")
+    (command,) = [each for each in all_commands() if each.edit == "fade"]
+    assert (command.name, command.menu) == ("Fade colors", "Scene") and command in all_command_groups()[-1]
+    with closing(Editor(before)) as editor:
+        command.perform(editor)
+        editor.jobs.all[-1].wait(60)
+        history = editor.document.history
+        assert history.labels[1:] == ["Fade colors"] and command.can_run(editor)
+        assert [each.text for each in steps_since(history, history.steps[0].document)] == ["fade"]
+        half = editor.document.scene.layers[0].gaussians.sh
+        editor.document.undo()
+        assert np.allclose(half, 0.5 * before.layers[0].gaussians.sh) and editor.document.scene is before
 
 
 def test_agents_drive(rain_lab, scene):

@@ -3,11 +3,13 @@
 import logging
 import re
 import sys
+from contextlib import closing
 
 import numpy as np
 import pytest
 from PIL import Image
 
+import gsrain as gr
 from app.main import BAD_INPUT, run
 from extension_package import installed
 from gsrain_engine import plugins
@@ -17,25 +19,31 @@ from gsrain_engine.appearance.wet_look.environment import ImageEnvironment
 from gsrain_engine.datasets.open_capture import capture_format
 from gsrain_engine.disdrometer.open import read_disdrometer
 from gsrain_engine.disdrometer.spectra import DisdrometerFileError
+from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.scene_edits import SceneEdit
 from gsrain_engine.evaluation.detection.decoders import DecoderInput, decode_outputs
 from gsrain_engine.evaluation.detection.description import DetectorDescription
 from gsrain_engine.plugins import ExtensionError
 from gsrain_engine.safe_io.errors import SceneFormatError
 from gsrain_engine.scene.formats.registry import lost_in_file, writable_suffixes
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
+from gsrain_engine.scene.scene import Scene
 from gsrain_engine.simulation.drive_exports import FinishedDrive, find_drive_export
 from gsrain_engine.simulation.scenario_io import load_scenario
 from small_rollout import approach
 from small_scene import small_scene
+from ui.commands.table import all_commands
 
 MODULE = """
 import numpy as np
 from gsrain_engine.appearance.registry import TransferMethod
 from gsrain_engine.datasets.open_capture import CaptureFormat
 from gsrain_engine.disdrometer.open import LogFormat
+from gsrain_engine.editor.scene_edits import SceneEdit
 from gsrain_engine.evaluation.detection.decoders import BoxCandidates, Decoder
 from gsrain_engine.scene.formats._common import Format
 from gsrain_engine.scene.gaussians import Gaussians
+from gsrain_engine.scene.progress import Progress
 from gsrain_engine.scene.scene import Layer, Scene
 from gsrain_engine.simulation.drive_exports import DriveExport
 
@@ -81,6 +89,20 @@ HALF = DriveExport((".half",), fails)
 ENDLESS = DriveExport((), fails)
 DOUBTS = LogFormat(lambda lines: lines[0] == "doubt", fails)
 NOTHING = LogFormat(lambda lines: lines[0] == "nothing", lambda path, lines: 3)
+
+def faults(scene, kind: str = "error"):
+    yield Progress(0.0, "Starting")
+    if kind == "refusal":
+        raise ValueError("this scene is too clean")
+    if kind == "error":
+        fails()
+    return 3
+
+def doubts(scene):
+    return fails()
+
+FAULTS = SceneEdit("Go wrong", "Goes wrong in several ways.", faults, doubts)
+UNDO = SceneEdit("Undo", "Has the name of another command.", faults)
 FOLDERS = CaptureFormat("anything", fails, fails)
 """
 ENTRIES = {
@@ -104,6 +126,7 @@ ENTRIES = {
         "lidar": "bad_lab:fails", "smoke": "bad_lab:fails", "number": "bad_lab:MISNAMED", "gone": "gone:x",
     },
     "gsrain.panels": {"smoke": "bad_lab:fails"},
+    "gsrain.scene_edits": {"go_wrong": "bad_lab:FAULTS", "undo": "bad_lab:UNDO", "rename": "bad_lab:FAULTS"},
 }  # fmt: skip
 SETTINGS = TransferSettings()
 
@@ -142,7 +165,7 @@ def scene(suffix):
 @pytest.mark.parametrize(
     ("use", "kind", "names"),
     [
-        (scene("smoke"), SceneFormatError, r"smoke \(bad_lab:SMOKE of bad-lab\): line 13 of bad_lab.py: the magic"),
+        (scene("smoke"), SceneFormatError, r"smoke \(bad_lab:SMOKE of bad-lab\): line 15 of bad_lab.py: the magic"),
         (scene("number"), SceneFormatError, "number .*Gaussians"),
         (scene("misnamed"), SceneFormatError, "'.other', .* '.misnamed'"),
         (scene("function"), SceneFormatError, "function .*Format"),
@@ -228,6 +251,43 @@ def test_unusable_evaluations_and_panels_are_named(bad_lab, capsys):
     printed = capsys.readouterr().out
     assert "broken  scene format absent: " in printed and "panel smoke (bad_lab:fails of bad-lab)" in printed
     assert "ok      scene format long: bad_lab:LONG of bad-lab 0.1.0" in printed
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        ("error", r"go_wrong \(bad_lab:FAULTS of bad-lab\): line \d+ of bad_lab.py: the magic"),
+        ("refusal", "^step 1, go-wrong: this scene is too clean$"),
+        ("number", "go_wrong .*returns a int, not a Scene"),
+    ],
+)
+def test_faults_of_edits_name_their_package_and_refusals_do_not(bad_lab, kind, words):
+    with pytest.raises(ValueError, match=words):
+        gr.edit(small_scene(), "go-wrong", kind=kind)
+
+
+def test_edits_take_no_name_of_our_own_and_are_off_where_their_condition_fails(bad_lab, caplog):
+    assert gr.edit(small_scene(), "rename", key="layers/road", name="asphalt").layers[0].name == "asphalt"
+    with closing(Editor(small_scene())) as editor, caplog.at_level(logging.WARNING):
+        (command,) = [each for each in all_commands() if each.edit == "go-wrong"]
+        assert not command.can_run(editor) and not command.can_run(editor)
+        assert [each.edit for each in all_commands() if each.name == "Undo"] == [""]
+    assert sorted(re.sub(r" \(.*: ", ": ", message) for message in caplog.messages) == [
+        "scene edit go_wrong: the magic smoke has left; it is left out",
+        "scene edit undo: there is a command 'Undo'; it is left out",
+    ]
+
+
+def test_edits_that_the_window_could_not_run_are_refused():
+    def clean(scene: Scene, strength: float) -> Scene:
+        return scene
+
+    def sweep(scene: Scene, strength=1.0) -> Scene:
+        return scene
+
+    for work in (clean, sweep):
+        with pytest.raises(ValueError, match="'Clean': its parameter strength needs a type and a default"):
+            SceneEdit("Clean", "Clean the scene.", work)
 
 
 def test_captures_are_recognized_without_a_failing_extension(tmp_path, tmp_path_factory, caplog):

@@ -18,7 +18,7 @@ from gsrain_engine.editor.status import Answer, Question, StatusBus
 from gsrain_engine.editor.viewport_state import ViewportState
 
 from .commands.keys import chord_name, chords_of
-from .commands.table import COMMANDS
+from .commands.table import COMMANDS, all_commands
 from .folding import bring_to_front, panel_windows
 from .tools import TOOLS
 from .widgets.fields import LOGARITHMIC, button
@@ -325,7 +325,7 @@ def _found(rows: list[_PaletteRow], words: list[str]) -> list[_PaletteRow]:
 def _rows(editor: Editor) -> list[_PaletteRow]:
     rows = [
         _PaletteRow(each.title(editor), each.key_names, each.help, each.can_run(editor), partial(each.perform, editor))
-        for each in COMMANDS
+        for each in all_commands()
     ]
     for tool in TOOLS:
         keys = chord_name(int(tool.key)) if tool.key is not None else ""

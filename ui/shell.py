@@ -9,7 +9,7 @@ from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.files import Files
 
 from .commands.keys import chord, chords_of, parse_chord
-from .commands.table import COMMAND_GROUPS, COMMANDS, Command
+from .commands.table import COMMANDS, Command, all_command_groups
 from .folding import bring_to_front, panel_windows
 from .panels.jobs import job_tray, tray_width
 from .tools import TOOLS
@@ -58,7 +58,7 @@ def draw_menus(editor: Editor) -> None:
         if imgui.get_io().key_alt:
             _underline(title)
         if is_open:
-            groups = [[command for command in group if command.menu == title] for group in COMMAND_GROUPS]
+            groups = [[command for command in group if command.menu == title] for group in all_command_groups()]
             for number, group in enumerate(filter(None, groups)):
                 if number:
                     imgui.separator()

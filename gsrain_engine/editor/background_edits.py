@@ -5,7 +5,6 @@ from tempfile import TemporaryDirectory
 
 from ..appearance.base import TransferSettings
 from ..appearance.view_choice import ViewChoice
-from ..scene.lamp_choice import lamp_choice
 from ..scene.open import load_drawable_scene, load_sorted_scene
 from ..scene.progress import run_to_end
 from ..scene.scene import Scene
@@ -37,13 +36,6 @@ def apply_wet_look(
 
     order = TransferRequest(method, settings or TransferSettings(), choice or ViewChoice(), capture, allow_outside)
     return run_to_end(rainy_by(scene, order))
-
-
-def relight_by_night(scene: Scene, lamps: Path | None = None) -> Scene:
-    """Relight a scene by day as by night: by a file of lamps, the scene's own, or by default ones."""
-    from ..appearance.night_look.night_gaussians import night_scene  # loads slow parts of scipy
-
-    return run_to_end(night_scene(scene, None if lamps is None else lamp_choice(str(lamps)).of(scene)))
 
 
 def recolor_to_images(scene: Scene, capture: Path, images: Path | None = None, allow_outside: bool = False) -> Scene:

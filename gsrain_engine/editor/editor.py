@@ -29,11 +29,11 @@ from .lamps import LampFinder
 from .live_rain import LiveRain
 from .make_rainy import WetLookController
 from .matching import MatchingController
-from .night import NightLook
 from .preferences import PreferencesStore
 from .rain import CalibrationTools
 from .rain_tracks import RainTracks
 from .recorder import RenderQueue
+from .scene_edits import SceneEdits
 from .scene_setup import SceneSetup
 from .selection.commands import SelectionTool
 from .status import StatusBus, logger
@@ -79,7 +79,7 @@ class Editor:
         self.scene_setup = SceneSetup(self.document, self.viewport)
         self.floaters = FloaterFinder(self.document, self.jobs)
         self.lamps = LampFinder(self.document, self.jobs)
-        self.night_look = NightLook(self.document, self.jobs)
+        self.scene_edits = SceneEdits(self.document, self.jobs)
         self.wet_look = WetLookController(
             self.viewport, self.live_rain, self.captures, self.jobs, self.files, self.status
         )

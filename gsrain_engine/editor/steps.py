@@ -1,7 +1,7 @@
 """Steps of the history as text: each edit by name with its arguments, for the command line and Python.
 
-A step such as `rename key=layers/road name="wet road"` names an edit of `EDITS`. Its arguments are JSON values,
-converted from and to the types of the parameters of the edit's function.
+A step such as `rename key=layers/road name="wet road"` names an edit of `EDITS` or of an installed package.
+Its arguments are JSON values, converted from and to the types of the parameters of the edit's function.
 """
 
 import base64
@@ -31,6 +31,7 @@ from ..safe_io.foreign_values import as_plain
 from ..scene.scene import Scene
 from .document import DocumentState, History, Step
 from .edits.members import with_path
+from .scene_edits import InstalledEdit, installed_edits
 from .selection.commands import select_found
 
 Kind = Literal["scene", "path", "selection", "document", "keyframes"]
@@ -39,8 +40,8 @@ Kind = Literal["scene", "path", "selection", "document", "keyframes"]
 class Edit(NamedTuple):
     """A function that edits, by its place, and what it takes and returns."""
 
-    function: str
-    """Such as "edits.layers:rename" in this package; with a leading dot, in the engine."""
+    function: str | Callable[..., Scene]
+    """Such as "edits.layers:rename" in this package; with a leading dot, in the engine. Of other packages, itself."""
     kind: Kind = "scene"
     """Scene, its camera path (see `with_path`), document, or rain keyframes; or a search for the Gaussians of a scene
     that are combined with the selection (see `select_found`)."""
@@ -122,11 +123,20 @@ EDITS: Mapping[str, Edit] = {
     "set-rain-interpolation": Edit("edits.rain_keyframes:set_interpolation", "keyframes"),
     "add-shower": Edit("edits.rain_keyframes:add_shower", "keyframes"),
     "wet-look": Edit("background_edits:apply_wet_look"),
-    "night": Edit("background_edits:relight_by_night"),
     "recolor": Edit("background_edits:recolor_to_images"),
     "reconstruct": Edit("background_edits:reconstruct"),
 }
-"""All edits by name. Those of the history are rows of this table."""
+"""The program's own edits by name. Those of the history are rows of this table, or edits of other packages."""
+
+
+def added_edits() -> list[InstalledEdit]:
+    """Edits of installed packages, but for those whose names are of our own."""
+    return [each for each in installed_edits() if each.name not in EDITS]
+
+
+def all_edits() -> dict[str, Edit]:
+    """All edits by name, those of installed packages last."""
+    return {**EDITS, **{each.name: Edit(each.function) for each in added_edits()}}
 
 
 class EditError(ValueError):
@@ -138,7 +148,7 @@ class EditStep:
     """One edit with plain arguments."""
 
     name: str
-    """A name of `EDITS`."""
+    """A name of `all_edits`."""
     arguments: Mapping[str, Any] = field(default_factory=dict[str, Any])
     """JSON values by parameter; parameters with their default may be absent."""
 
@@ -154,10 +164,11 @@ class EditStep:
             change = arguments.pop(0)
         elif change is select_found:
             change = arguments.pop(1)
-        name = _names().get(change)
+        added = (each.name for each in added_edits() if each.function is change)
+        name = _names().get(change) or next(added, None)
         if name is None:
             raise EditError(f"{step.label}: no edit has this result")
-        parameters = _parameters(EDITS[name])
+        parameters = _parameters(all_edits()[name])
         values = dict(zip(parameters, arguments, strict=False)) | options
         usual = {each.name: _plain(each.default) for each in parameters.values() if each.default is not Parameter.empty}
         return cls.with_values(
@@ -202,10 +213,10 @@ class EditStep:
             EditError: For an unknown name or parameter, a missing one, or a value of another type.
             ValueError: When the edit refuses, such as for a locked layer.
         """
-        edit = EDITS.get(self.name)
+        edit = all_edits().get(self.name)
         if edit is None:
-            raise EditError(f"{self.name}: no such edit; there are {', '.join(EDITS)}")
-        change, parameters = edit_function(self.name), _parameters(edit)
+            raise EditError(f"{self.name}: no such edit; there are {', '.join(all_edits())}")
+        change, parameters = _named(edit.function), _parameters(edit)
         for name, parameter in parameters.items():
             if parameter.default is Parameter.empty and name not in self.arguments:
                 raise EditError(f"{self.name}: needs {name}=...")
@@ -313,12 +324,12 @@ class EditHelp(NamedTuple):
 
 
 def edit_help() -> Iterator[EditHelp]:
-    """Describe all edits, in the order of `EDITS`."""
-    for name, edit in EDITS.items():
+    """Describe all edits, in the order of `all_edits`."""
+    for name, edit in all_edits().items():
         parameters, hints = _parameters(edit), _hints(edit)
         words = [_parameter_help(each) for each in parameters.values()]
         words += [f"[{each}=...]" for each in hints if each not in parameters]
-        summary = (edit_function(name).__doc__ or "").strip().partition("\n\n")[0]
+        summary = (_named(edit.function).__doc__ or "").strip().partition("\n\n")[0]
         yield EditHelp(name, " ".join(words), " ".join(summary.split()))
 
 
@@ -333,11 +344,13 @@ def _parameter_help(parameter: Parameter) -> str:
 
 @cache
 def edit_function(name: str) -> Callable[..., Any]:
-    """Function of an edit, by its name."""
+    """Function of an edit of `EDITS`, by its name."""
     return _named(EDITS[name].function)
 
 
-def _named(place: str) -> Any:
+def _named(place: str | Callable[..., Scene]) -> Any:
+    if not isinstance(place, str):
+        return place
     module, _, names = place.partition(":")
     found = import_module(f"gsrain_engine{module}" if module.startswith(".") else f"{__package__}.{module}")
     for each in names.split("."):

@@ -73,8 +73,6 @@ info room.ply extra                                  | extra
 info room.ply --check                                | --check and --overlay
 convert room.ply a.ply --wetness 0.5                 | --wetness 0.5
 convert room.ply a --speed 6                         | --speed 6
-night room.ply -o out --lamps dim                    | lamps dim: no such file
-night room.ply -o holds                              | holds
 street out --rig mine                                | --rig mine
 calibrate light.nc -o a.json                         | a.json
 calibrate light.nc -o a.yaml --intensities 1,x       | --intensities

@@ -14,9 +14,7 @@ OUTPUTS = {
     "render": ["street -o OUT.png", "street -o ok.png --json OUT"],
     "info": ["street --json OUT", "street --overlay OUT.png"],
     "edit": ["none -o OUT"],
-    "night": ["none.ply -o OUT", "none.ply -o ok --json OUT"],
     "convert": ["none.ply OUT.ply", "none.ply ok.ply --json OUT"],
-    "street": ["OUT", "ok --json OUT"],
     "publish": ["none -o OUT.html", "none -o ok.html --json OUT"],
     "export-rain": ["street -o OUT.ply", "none -o ok --json OUT"],
     "calibrate": ["none -o OUT.yaml", "none -o ok.yaml --plot OUT.png", "none -o ok.yaml --json OUT"],
@@ -47,6 +45,8 @@ OUTPUTS = {
     "evaluate detection": ["--detector x -o OUT", "--detector x --video OUT.mp4", "--detector x --json OUT"],
     "evaluate lidar": ["none -o OUT", "none -o ok --json OUT"],
 }
+_OF_FOLDERS = {"night": ["none.ply -o OUT", "none.ply -o ok --json OUT"], "street": ["OUT", "ok --json OUT"]}
+OUTPUTS |= {name: _OF_FOLDERS[name] for name in _OF_FOLDERS if plugins.find_extension(plugins.COMMANDS, name)}
 """Command lines with OUT in each place of a file or folder that is written; what they read is not there."""
 _WRITTEN = {"output", "target", "directory", "json", "contact_sheet", "plot", "report", "video", "overlay", "rerun"}
 needs_proc = pytest.mark.skipif(not Path("/proc").is_dir(), reason="a folder that takes no file is Linux's")

@@ -7,7 +7,7 @@ from PIL import Image
 from gsrain_engine.scene.formats.scene_files import write_scene
 from small_scene import small_scene
 from ui.commands.keys import chord, chord_name, chords_of
-from ui.commands.table import COMMANDS
+from ui.commands.table import COMMANDS, all_commands
 from ui.panels.registry import BUILT_IN_PANELS
 from ui.shell import MENUS
 from ui.tools import TOOLS
@@ -181,9 +181,9 @@ def test_keys_and_titles_mean_one_thing():
     keys += [int(tool.key) for tool in TOOLS if tool.key is not None]
     keys += [int(key) for key in (_KEY.w, _KEY.a, _KEY.s, _KEY.d, _KEY.q, _KEY.e)]
     assert sorted(keys) == sorted(set(keys)), [chord_name(each) for each in keys if keys.count(each) > 1]
-    names = [command.name for command in COMMANDS] + [tool.name for tool in TOOLS]
+    names = [command.name for command in all_commands()] + [tool.name for tool in TOOLS]
     assert len(names) == len(set(names))
-    assert {command.menu for command in COMMANDS} <= {"", *MENUS}
+    assert {command.menu for command in all_commands()} <= {"", *MENUS}
     assert len({panel.title for panel in BUILT_IN_PANELS}) == len(BUILT_IN_PANELS)
 
 

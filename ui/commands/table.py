@@ -6,6 +6,7 @@ nothing, so that the window opens, and `gsrain --help` prints, at once.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from importlib import import_module
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any
@@ -14,6 +15,7 @@ from ..parts import bind_parts
 
 if TYPE_CHECKING:
     from gsrain_engine.editor.editor import Editor
+    from gsrain_engine.editor.scene_edits import InstalledEdit
 
 Function = Callable[..., Any] | str
 """A function of the editor's parts that its parameters name, or its place."""
@@ -498,9 +500,6 @@ COMMAND_GROUPS: tuple[tuple[Command, ...], ...] = (
         Command("Apply wet look", _call("wet_look.make"), "Scene", "",
                 "Transfer views and solve for wet colors in the background; see the Wet look panel.",
                 lambda wet_look: wet_look.why_not is None, edit="wet-look", python="wet"),
-        Command("Relight for night", _call("night_look.relight"), "Scene", "",
-                "Light a scene that was recorded by day by its lamps or new ones, under a dark sky, in the background.",
-                lambda night_look: night_look.is_possible, edit="night", shell="night", python="night"),
         Command("Preview this view in rain", _call("wet_look.preview"), "Scene", "",
                 "Transfer the present view, and show it right of the live image.",
                 lambda wet_look: wet_look.why_no_preview is None),
@@ -548,6 +547,36 @@ COMMAND_GROUPS: tuple[tuple[Command, ...], ...] = (
 
 COMMANDS = tuple(command for group in COMMAND_GROUPS for command in group)
 
+
+def all_command_groups() -> tuple[tuple[Command, ...], ...]:
+    """Return `COMMAND_GROUPS`, and one of the scene edits of installed packages."""
+    return (*COMMAND_GROUPS, _commands_of(tuple(function_at("gsrain_engine.editor.steps:added_edits")())))
+
+
+def all_commands() -> tuple[Command, ...]:
+    return tuple(command for group in all_command_groups() for command in group)
+
+
+@lru_cache(maxsize=4)
+def _commands_of(edits: "tuple[InstalledEdit, ...]") -> tuple[Command, ...]:
+    """Return the commands of edits; those with the name of another command are omitted and logged."""
+    made: dict[str, Command] = {}
+    for edit in edits:
+        title = edit.declared.title
+        if title in made or any(each.name == title for each in COMMANDS):
+            function_at("gsrain_engine.plugins:warn_once")(str(edit.extension.unfit(f"there is a command {title!r}")))
+        else:
+            made[title] = _scene_edit(edit)
+    return tuple(made.values())
+
+
+def _scene_edit(edit: "InstalledEdit") -> Command:
+    return Command(
+        edit.declared.title, lambda scene_edits: scene_edits.start(edit), "Scene", "", edit.declared.summary,
+        lambda scene_edits: scene_edits.is_possible(edit), edit=edit.name,
+    )  # fmt: skip
+
+
 # The command line
 
 
@@ -566,7 +595,6 @@ SHELL_COMMANDS = {
     "reconstruct": ("app.train:reconstruct", "Fit Gaussians to a capture: images with cameras, and lidar or points."),
     "transfer": ("app.translate:transfer", "Make clear views of a scene, or the images of a capture, look rainy."),
     "recolor": ("app.train:recolor", "Re-optimize a scene's colors for images with another look; its geometry stays."),
-    "night": ("app.night:night", "Relight a scene that was recorded by day as by night: dark sky, and lamps."),
     "sweep": ("app.sweep:sweep", "Run drives or renders for all combinations of scenes, scenarios, rain and agents."),
     "train-transfer": ("app.translate:train_transfer", "Fine-tune CycleGAN-Turbo on clear and rainy images (LoRA)."),
     "drive": ("app.drive:drive", "Test a driver in the rain: a closed loop of scene, rain and agent."),

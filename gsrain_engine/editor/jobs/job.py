@@ -29,7 +29,7 @@ _DONE = "Done"
 _NOTICED_S = 60.0  # a notice of an end goes by itself after this time
 _ESTIMATED_FROM, _ESTIMATED_AFTER_S = 0.02, 2.0  # fraction and time from which the time left is estimated
 JobKind = Literal[
-    "reconstruct", "recolor", "make rainy", "preview", "fine-tune", "floaters", "lamps", "night", "calibration",
+    "reconstruct", "recolor", "make rainy", "preview", "fine-tune", "floaters", "lamps", "scene edit", "calibration",
     "drive", "drive video", "export", "timing", "frame",
 ]  # fmt: skip
 

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Float64
 from scipy import ndimage
 
-from ...kernels import kernel
+from gsrain_engine.kernels import kernel
 
 _MAX_CELLS = 3_000_000
 _WITHIN = (0.004, 0.996)  # quantiles of the places that bound the grid, along each axis

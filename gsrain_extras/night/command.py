@@ -3,9 +3,9 @@
 from pathlib import Path
 from typing import Annotated
 
-from .console import counted, print, run_with_progress
-from .options import JsonFile, Orientation, option
-from .outputs import check_scene_folder, check_writable, lock_outputs, write_numbers
+from app.console import counted, print, run_with_progress
+from app.options import JsonFile, Orientation, option
+from app.outputs import check_scene_folder, check_writable, lock_outputs, write_numbers
 
 
 def night(
@@ -28,17 +28,16 @@ def night(
     The reflectance of each Gaussian is estimated from its color, without sun and shadow, and lit by the lamps that are
     mounted on the scene; those of vehicles light rain and water only. The geometry stays.
     """
-    from gsrain_engine.appearance.night_look.night_gaussians import night_scene
     from gsrain_engine.scene.formats.scene_files import write_scene
-    from gsrain_engine.scene.lamp_choice import lamp_choice
     from gsrain_engine.scene.open import load_sorted_scene
+
+    from .edit import relight
 
     check_scene_folder(output)
     check_writable(json)
     opened = (orientation or Orientation()).of(load_sorted_scene(scene))
-    given = None if lamps is None else lamp_choice(str(lamps)).of(opened)
     lock_outputs(output)
-    dark = run_with_progress(night_scene(opened, given))
+    dark = run_with_progress(relight(opened, None if lamps is None else str(lamps)))
     write_scene(dark, output, in_drawing_order=True)
     added = dark.gaussian_count - opened.gaussian_count
     print(f"{output}: {counted(dark.gaussian_count, 'Gaussian')} by night, lit by {counted(len(dark.lamps), 'lamp')}")

@@ -11,14 +11,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Float64
 from scipy.spatial import KDTree
 
-from ...scene.find_lamps import is_dark
-from ...scene.gaussians import SH_C0, Gaussians, sh_from_color
-from ...scene.geometry import LUMINANCE, matrices_from_quaternions, quaternions_from_matrices, srgb_to_linear
-from ...scene.lamps import LAMP_REACH_M, Lamp, facing_share, lit_lamps
-from ...scene.progress import Progress, subprogress
-from ...scene.scene import Actor, Layer, Scene, SceneCore, core_bounds, is_sky
-from ...scene.skies import NIGHT, overcast_share
-from ..wet_look.gaussian_surfaces import (
+from gsrain_engine.appearance.wet_look.gaussian_surfaces import (
     BLOCK,
     Colors,
     GaussianSurfaces,
@@ -29,13 +22,21 @@ from ..wet_look.gaussian_surfaces import (
     sunlit_share,
     viewpoints,
 )
-from ..wet_look.ground_plane import GroundHeights
-from ..wet_look.illumination import DARKEST_EV, IlluminationEstimate, is_gray, overcast_colors
-from ..wet_look.masks import smoothstep
-from ..wet_look.materials import MEAN_REFLECTANCE, WHITE, lamp_share, wet_surfaces_color
-from ..wet_look.settings import WetSettings
-from ..wet_look.water_map import with_water
-from ..wet_look.wet_gaussians import changed_harmonics, row_of
+from gsrain_engine.appearance.wet_look.ground_plane import GroundHeights
+from gsrain_engine.appearance.wet_look.illumination import DARKEST_EV, IlluminationEstimate, is_gray, overcast_colors
+from gsrain_engine.appearance.wet_look.masks import smoothstep
+from gsrain_engine.appearance.wet_look.materials import MEAN_REFLECTANCE, WHITE, lamp_share, wet_surfaces_color
+from gsrain_engine.appearance.wet_look.settings import WetSettings
+from gsrain_engine.appearance.wet_look.water_map import with_water
+from gsrain_engine.appearance.wet_look.wet_gaussians import changed_harmonics, row_of
+from gsrain_engine.scene.find_lamps import is_dark
+from gsrain_engine.scene.gaussians import SH_C0, Gaussians, sh_from_color
+from gsrain_engine.scene.geometry import LUMINANCE, matrices_from_quaternions, quaternions_from_matrices, srgb_to_linear
+from gsrain_engine.scene.lamps import LAMP_REACH_M, Lamp, facing_share, lit_lamps
+from gsrain_engine.scene.progress import Progress, subprogress
+from gsrain_engine.scene.scene import Actor, Layer, Scene, SceneCore, core_bounds, is_sky
+from gsrain_engine.scene.skies import NIGHT, overcast_share
+
 from .lamp_shadows import OpacityGrid
 from .lanterns import bulbs, default_lamps
 from .traffic_lights import LENS_LIGHT, SignalLens, is_traffic_light, lamps_of_lenses, lit_lenses

@@ -6,11 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import gsrain as gr
 from app.main import BAD_INPUT, run
 from editor.files.open_document import settle
-from gsrain_engine.appearance.night_look.lamp_shadows import OpacityGrid
-from gsrain_engine.appearance.night_look.lanterns import RIGHT_M, SPACING_M
-from gsrain_engine.appearance.night_look.night_gaussians import SurfaceNormals, light_of_lamps, night_scene
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.edits.members import set_locked
 from gsrain_engine.editor.steps import EditStep, apply_steps, steps_since
@@ -21,7 +19,12 @@ from gsrain_engine.scene.lamps import LANTERN_HEIGHT_M, Lamp
 from gsrain_engine.scene.open import load_scene
 from gsrain_engine.scene.progress import run_to_end
 from gsrain_engine.scene.scene import Layer, PoseTrack, Scene
+from gsrain_extras.night.lamp_shadows import OpacityGrid
+from gsrain_extras.night.lanterns import RIGHT_M, SPACING_M
+from gsrain_extras.night.night_gaussians import SurfaceNormals, light_of_lamps, night_scene
+from small_scene import small_scene
 from training.small_street import flat_patch
+from ui.commands.table import all_commands
 
 LAMP = Lamp(name="one", position=(5.0, 0.0, 6.0), color=(1.0, 0.5, 0.25), intensity_m2=200.0)
 NOTHING = OpacityGrid.of(np.zeros((0, 3)), np.zeros(0), np.zeros(0))
@@ -137,18 +140,52 @@ def test_the_command_writes_the_same_bytes_twice_and_refuses_a_night(yard, tmp_p
     assert "dark already" in capsys.readouterr().err and not (tmp_path / "c").exists()
 
 
+def test_the_edit_takes_lamps_and_their_file(yard, night, tmp_path):
+    (tmp_path / "lamps.yaml").write_text("- {name: one, position: [5, 0, 6], color: [1, 0.5, 0.25], intensity_m2: 200}")
+    for lamps in ([LAMP], tmp_path / "lamps.yaml"):
+        found = gr.edit(yard, "night", lamps=lamps)
+        assert found.lamps == (LAMP,)
+        assert np.array_equal(found.member("layers/all").gaussians.sh, night.member("layers/all").gaussians.sh)
+    assert gr.edit(yard, "night", lamps="none").lamps == ()
+    with pytest.raises(ValueError, match="dark already"):
+        gr.edit(night, "night")
+
+
 def test_the_job_of_the_window_is_one_step_that_can_be_repeated(yard):
-    with closing(Editor(replace(yard, lamps=(LAMP,)))) as editor:
-        job = editor.night_look.relight()
-        assert not editor.night_look.is_possible
+    (command,) = [each for each in all_commands() if each.name == "Relight for night"]
+    with closing(Editor(yard)) as editor:
+        command.perform(editor)
+        assert not command.can_run(editor)
         editor.document.edit("Lock", set_locked, "layers/all", True)  # what is lit stays
+        job = editor.jobs.all[-1]
         job.wait(60)
         settle(editor)
         document = editor.document
-        message = "Lit by 1 lamp (Rain panel, Lamps); new in the Layers panel: lamps and sky"
+        message = "2 lamps (Rain panel, Lamps); new in the Layers panel: lamps and sky"
         assert (job.progress.message, document.history.labels[1:]) == (message, ["Lock", "Relight for night"])
         _, step = steps_since(document.history, document.history.steps[0].document)
         made = document.scene.member("layers/all")
-        assert made.locked
-    again = apply_steps(replace(yard, lamps=(LAMP,)), [EditStep.parse(step.text)])
+        assert made.locked and command.can_run(editor)
+    again = apply_steps(yard, [EditStep.parse(step.text)])
     assert step.text == "night" and np.array_equal(again.member("layers/all").gaussians.sh, made.gaussians.sh)
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("room.ply -o out --lamps dim", "lamps dim: no such file"),
+        ("room.ply -o holds", "holds"),
+        ("none.ply -o file/below/x", "file is a file"),
+        ("none.ply -o ok --json file/below/x", "file is a file"),
+    ],
+)
+def test_bad_input_is_one_line_that_names_it(line, words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    write_scene(small_scene(), tmp_path / "room.ply")
+    (tmp_path / "holds").mkdir()
+    for name in ("holds/mine.txt", "file"):
+        (tmp_path / name).write_text("mine")
+    before = sorted(tmp_path.rglob("*"))
+    assert run(["night", *line.split()]) == BAD_INPUT
+    (error,) = capsys.readouterr().err.splitlines()
+    assert words in error and sorted(tmp_path.rglob("*")) == before

@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float64
 
-from ...scene.gaussians import Gaussians, sh_from_color
-from ...scene.lamps import (
+from gsrain_engine.appearance.wet_look.ground_plane import GroundHeights
+from gsrain_engine.scene.gaussians import Gaussians, sh_from_color
+from gsrain_engine.scene.lamps import (
     LANTERN_COLOR,
     LANTERN_HEIGHT_M,
     LANTERN_INNER_DEG,
@@ -16,11 +17,10 @@ from ...scene.lamps import (
     Lamp,
     lit_lamps,
 )
-from ...scene.models import lantern_bodies
-from ...scene.scene import Layer, Scene, SceneCore, ahead_of
-from ...scene.skies import NIGHT
-from ...scene.vehicle_lamps import VehicleLamps
-from ..wet_look.ground_plane import GroundHeights
+from gsrain_engine.scene.models import lantern_bodies
+from gsrain_engine.scene.scene import Layer, Scene, SceneCore, ahead_of
+from gsrain_engine.scene.skies import NIGHT
+from gsrain_engine.scene.vehicle_lamps import VehicleLamps
 
 SPACING_M = 30.0
 """Distance of lanterns along a drive: 4.6 mounting heights."""

@@ -1,4 +1,4 @@
-"""Panels of other packages in the real window: one of docs/extending.md, and one that fails."""
+"""Panels and edits of other packages in the real window: those of docs/extending.md, and a panel that fails."""
 
 import pytest
 
@@ -37,8 +37,9 @@ _ENTRIES = {
 @pytest.fixture
 def packages(tmp_path):
     page = titled_blocks(REPOSITORY / "docs" / "extending.md")
-    files = {name: text for name, text in page.items() if name == "rain_lab/cloudburst.py"} | {"sulky.py": _SULKS}
-    with installed(tmp_path / "site", "rain-lab", files, {"gsrain.panels": _ENTRIES}):
+    files = {name: page[name] for name in ("rain_lab/cloudburst.py", "rain_lab/fade.py")} | {"sulky.py": _SULKS}
+    entries = {"gsrain.panels": _ENTRIES, "gsrain.scene_edits": {"fade": "rain_lab.fade:EDIT"}}
+    with installed(tmp_path / "site", "rain-lab", files, entries):
         yield
 
 
@@ -61,3 +62,17 @@ def test_panels_of_packages_are_drawn_and_one_that_fails_takes_nothing_with_it(p
     left_out = [each for each in caplog.messages if "left out" in each]
     for words in ("panel 'Rain'", "side 'top'"):
         assert any(words in each for each in left_out)
+
+
+def test_edits_of_packages_are_in_menu_and_palette(packages, driver):
+    document, jobs = driver.editor.document, driver.editor.jobs
+    before = driver.picture()
+    driver.menu("Scene/Fade colors")
+    driver.until(lambda: not jobs.is_running("scene edit"))
+    assert document.history.undo_label == "Fade colors"
+    assert driver.picture().std() < before.std()
+    driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.p))
+    driver.ctx.key_chars("thin fog")
+    driver.press(imgui.Key.enter)
+    driver.until(lambda: not jobs.is_running("scene edit"))
+    assert document.history.labels[-2:] == ["Fade colors", "Fade colors"]

@@ -7,11 +7,11 @@ import numpy as np
 import scipy
 from jaxtyping import Float64, Int64
 
-from ...scene.geometry import matrices_from_quaternions, srgb_to_linear
-from ...scene.lamps import SIGNAL_M2, Lamp
-from ...scene.scene import Actor, Layer, Scene
-from ..wet_look.gaussian_surfaces import GaussianSurfaces
-from ..wet_look.materials import lamp_share
+from gsrain_engine.appearance.wet_look.gaussian_surfaces import GaussianSurfaces
+from gsrain_engine.appearance.wet_look.materials import lamp_share
+from gsrain_engine.scene.geometry import matrices_from_quaternions, srgb_to_linear
+from gsrain_engine.scene.lamps import SIGNAL_M2, Lamp
+from gsrain_engine.scene.scene import Actor, Layer, Scene
 
 _NAMES = "traffic light", "traffic signal", "signal head"
 _LIT, _OPAQUE = 0.1, 0.3
