@@ -25,7 +25,7 @@ from .options import (
     takes_set,
 )
 from .outputs import check_writable, lock_outputs, write_numbers
-from .render import RainOptions
+from .render import CameraOption, RainOptions
 
 if TYPE_CHECKING:
     from gsrain_engine.rain.available import Source
@@ -82,10 +82,7 @@ def export_rain(
     rain: RainOptions | None = None,
     photos: PhotoOptions | None = None,
     time: Annotated[float, setting(ExportSettings, "first_s", "Scenes only.")] = 0.0,
-    camera: Annotated[
-        Path | None,
-        option("Scene: camera file (JSON); default: the scene's own path or drive.", topic="Camera and time"),
-    ] = None,
+    camera: CameraOption = None,
     size: Annotated[str, setting(ExportSettings, "size_px", "The streaks are made for it.")] = "960x640",
     scene: Annotated[
         str | None,

@@ -8,7 +8,7 @@ from gsrain_engine.render.export_settings import ExportSettings
 from .console import print, run_with_progress
 from .options import JsonFile, Orientation, Wet, check_within, option, setting, takes_set
 from .outputs import PAGES, check_writable, lock_outputs, write_numbers
-from .render import RainOptions
+from .render import CameraOption, RainOptions
 
 
 @takes_set
@@ -18,9 +18,7 @@ def publish(
     *,
     output: Annotated[Path, setting(ExportSettings, "output", topic="Output", text="Web page to write (.html).")],
     rain: RainOptions | None = None,
-    camera: Annotated[
-        Path | None, option("Camera (JSON, .glb, .gltf), for a page without a path.", topic="Camera and time")
-    ] = None,
+    camera: CameraOption = None,
     camera_path: Annotated[
         Path | None,
         option("Camera path: ours, nerfstudio's, 3DGS's cameras.json, a .glb or .gltf.", topic="Camera and time"),

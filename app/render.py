@@ -32,6 +32,9 @@ from .options import (
 from .outputs import check_image, check_writable, lock_outputs, write_numbers
 
 if TYPE_CHECKING:
+    import numpy as np
+    from jaxtyping import Float64
+
     from gsrain_engine.rain.available import Source
     from gsrain_engine.rain.keyframes import Keyed, RainKeyframes
     from gsrain_engine.rain.properties import RainProperties
@@ -78,6 +81,17 @@ RecordingOptions = options_of(
 )
 
 
+CameraOption = Annotated[
+    str | None,
+    option(
+        "Six numbers with commas: X,Y,Z of the camera and of the point it looks at, in meters with z up (gsrain info "
+        "tells where a scene lies). Or a camera file (JSON, .glb, .gltf), in the scene's own units and axes.",
+        topic="Camera and time",
+        allow_leading_hyphen=True,
+    ),
+]
+
+
 @takes_set
 def render(
     scene: Annotated[str | None, option("Scene file or folder; default: the built-in street.")] = None,
@@ -85,13 +99,7 @@ def render(
     *,
     recording: RecordingOptions,
     rain: RainOptions | None = None,
-    camera: Annotated[
-        Path | None,
-        option(
-            "Camera (JSON) in the scene's own units and axes, with its lens and rolling shutter if any; a .glb, .gltf.",
-            topic="Camera and time",
-        ),
-    ] = None,
+    camera: CameraOption = None,
     camera_path: Annotated[
         Path | None,
         option("Camera path: ours, nerfstudio's, 3DGS's cameras.json, a .glb or .gltf.", topic="Camera and time"),
@@ -465,23 +473,28 @@ def _check_outputs(
 
 
 def viewpoint_of(
-    scene: "Scene", camera: Path | None, camera_path: Path | None, export: ExportSettings
+    scene: "Scene", camera: str | None, camera_path: Path | None, export: ExportSettings
 ) -> "Camera | CameraPath":
     """Return the camera or path of the options, in the world; else the scene's path, the ego's drive, or an orbit.
 
     A single still shows a scene without path and drive from the front.
     """
+    import numpy as np
+
     from gsrain_engine.editor.jobs.record import own_path
-    from gsrain_engine.editor.viewport.camera import front_camera, home_camera
-    from gsrain_engine.scene.camera import read_camera
+    from gsrain_engine.editor.viewport.camera import FOV_DEG, front_camera, home_camera
+    from gsrain_engine.scene.camera import Camera, look_at, read_camera
     from gsrain_engine.scene.camera_path_io import read_camera_path
     from gsrain_engine.scene.formats.gltf import GLTF
 
     if camera is not None and camera_path is not None:
         raise ValueError("--camera and --camera-path exclude each other")
     width, height = export.size_px or DEFAULT_SIZE_PX
-    if camera is not None and camera.suffix.lower() in GLTF:
-        path = read_camera_path(camera, scene).moved(scene.scene_to_world)
+    if camera is not None and (places := _eye_and_target(camera)) is not None:
+        eye, target, up = *places, np.array([0.0, 0.0, 1.0])
+        return Camera.from_fov(width, height, FOV_DEG, look_at(eye, target, up))
+    if camera is not None and Path(camera).suffix.lower() in GLTF:
+        path = read_camera_path(Path(camera), scene).moved(scene.scene_to_world)
         return path.camera(path.start_s, width, height)
     if camera is not None:
         read = read_camera(camera)
@@ -491,6 +504,27 @@ def viewpoint_of(
     if scene.path is not None or not export.is_still or front_camera(scene) is not None:
         return own_path(scene, width, height)
     return home_camera(scene, width, height)
+
+
+def _eye_and_target(text: str) -> "Float64[np.ndarray, '2 3'] | None":
+    """Turn "-8,0,1.5,0,0,1" into the places of a camera and of what it looks at; None for the name of a file."""
+    import numpy as np
+
+    if "," not in text or Path(text).exists():
+        return None
+    try:
+        places = np.array(text.split(","), np.float64).reshape(2, 3)
+    except ValueError:
+        places = np.zeros((2, 3))
+    if not np.abs(places).max() < _FARTHEST_M or not np.ptp(places, axis=0).any():
+        raise ValueError(
+            f"--camera {text}: expected a file, or six numbers with commas: X,Y,Z of the camera and of another point, "
+            "which it looks at, such as -8,0,1.5,0,0,1"
+        )
+    return places
+
+
+_FARTHEST_M = 1e6  # distance from the origin of a camera that is given by numbers
 
 
 def _timing(

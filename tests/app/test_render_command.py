@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image, ImageCms
 
-from app.main import run
+from app.main import BAD_INPUT, run
 from gsrain_engine.rain.keyframes import RainKeyframe, RainKeyframes
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.scene.camera import Camera, look_at
@@ -165,6 +165,16 @@ def test_camera_and_depth_are_in_the_scene_s_own_axes(wall, tmp_path):
     assert np.load(tmp_path / "view.depth.npy")[24, 32] == pytest.approx(6.0, abs=0.1)
     render(wall, tmp_path / "view.npy", *options, "--meters-per-unit", "2", "--up", "-y")
     assert np.load(tmp_path / "view.depth.npy")[24, 32] == pytest.approx(12.0, abs=0.2)
+
+
+def test_a_camera_is_two_places_in_the_world(wall, tmp_path, capsys):
+    up = ("--up", "-y", "--depth")  # the wall's z axis points ahead: y in the world
+    render(wall, tmp_path / "view.npy", "--camera", "0,-2,0,0,5,0", *up)
+    assert np.load(tmp_path / "view.depth.npy")[24, 32] == pytest.approx(8.0, abs=0.1)
+    for wrong in ("0,0,1", "0,0,1,0,0,1", "a,b,c,d,e,f", "0,0,nan,0,0,1"):
+        assert run(["render", str(wall), "-o", str(tmp_path / "none.png"), "--camera", wrong]) == BAD_INPUT
+        (line,) = capsys.readouterr().err.splitlines()
+        assert f"--camera {wrong}: expected a file, or six numbers" in line
 
 
 def test_cameras_passes_and_twin(project, tmp_path, capsys):

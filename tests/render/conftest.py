@@ -1,5 +1,6 @@
 """An OpenGL context without a window, the same one for all tests of this folder; renderers, an editor and its view."""
 
+import moderngl
 import pytest
 
 from gsrain_engine.editor.drawing import live_view
@@ -24,6 +25,7 @@ def shared_context():
         context = open_context("egl")
     except NoOpenGLError as error:
         pytest.skip(str(error))
+    context.gc_mode = "context_gc"
     yield context
     context.release()
 
@@ -35,6 +37,15 @@ def context(shared_context):
         assert shared_context.error == "GL_NO_ERROR"
         yield shared_context
         assert shared_context.error == "GL_NO_ERROR"
+        _free_unused(shared_context)
+
+
+def _free_unused(context):
+    """Free the programs, textures and buffers of renderers that are gone; not what these have freed themselves."""
+    unused = [each for each in context.objects if not isinstance(each, moderngl.InvalidObject)]
+    context.objects.clear()
+    for each in unused:
+        each.release()
 
 
 @pytest.fixture

@@ -173,7 +173,7 @@ def is_in_view(
 
 # Home camera and default path
 
-_FOV_DEG = 50.0
+FOV_DEG = 50.0
 _LOOKING_DOWN_DEG = 8.0
 _LOOKING_DOWN_ON_FLAT_DEG = 25.0  # for wide and low scenes such as streets, where the first houses would hide the rest
 _MARGIN = 1.12  # margin around the box, which excludes 2 % along each axis
@@ -194,12 +194,12 @@ def home_camera(scene: Scene, width: int, height: int) -> Camera:
     sight = np.cos(down) * ahead_of(scene) - np.sin(down) * np.array([0, 0, 1.0])
     turn = look_at(np.zeros(3), sight, np.array([0.0, 0, 1]))[:3, :3]
     eye = core.middle - sight * min(_fitting_distance(core, turn, width / height), max(core.farthest_m, 1e-3))
-    return Camera.from_fov(width, height, _FOV_DEG, look_at(eye, core.middle, np.array([0.0, 0, 1])))
+    return Camera.from_fov(width, height, FOV_DEG, look_at(eye, core.middle, np.array([0.0, 0, 1])))
 
 
 def _fitting_distance(core: SceneCore, world_to_camera: Float64[np.ndarray, "3 3"], aspect: float) -> float:
     """Distance from the middle at which a core fills the image: its box with a margin, or its bounding sphere."""
-    upright = np.tan(np.radians(_FOV_DEG) / 2)
+    upright = np.tan(np.radians(FOV_DEG) / 2)
     sphere = max(core.radius_m, 1e-3) / np.sin(np.arctan(upright * min(aspect, 1.0)))
     corners = np.stack(np.meshgrid(*zip(core.low, core.high, strict=True)), axis=-1).reshape(-1, 3) - core.middle
     x, y, z = world_to_camera @ corners.T
