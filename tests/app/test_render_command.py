@@ -171,6 +171,7 @@ def test_a_camera_is_two_places_in_the_world(wall, tmp_path, capsys):
     up = ("--up", "-y", "--depth")  # the wall's z axis points ahead: y in the world
     render(wall, tmp_path / "view.npy", "--camera", "0,-2,0,0,5,0", *up)
     assert np.load(tmp_path / "view.depth.npy")[24, 32] == pytest.approx(8.0, abs=0.1)
+    capsys.readouterr()
     for wrong in ("0,0,1", "0,0,1,0,0,1", "a,b,c,d,e,f", "0,0,nan,0,0,1"):
         assert run(["render", str(wall), "-o", str(tmp_path / "none.png"), "--camera", wrong]) == BAD_INPUT
         (line,) = capsys.readouterr().err.splitlines()
