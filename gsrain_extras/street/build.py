@@ -1,6 +1,7 @@
 """Assembly of the street: surfaces, baked daylight, Gaussians, tracks, camera rigs and parked vehicles."""
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from gsrain_engine.scene.geometry import quaternions_from_matrices, rotation_abo
 from gsrain_engine.scene.rigs import SENSOR_HEIGHT_M, driving_rigs
 from gsrain_engine.scene.scene import Actor, Layer, PoseTrack, Scene
 from gsrain_engine.scene.skies import LIGHTINGS, LightingName
+from gsrain_engine.threads import usable_cores
 
 from .bicycles import BICYCLE_SIZE_M, build_waiting_bicycles
 from .buildings import build_houses
@@ -119,7 +121,9 @@ def scene_of(surfaces: StreetSurfaces, *, sharp: bool = True) -> Scene:
     light, clouds = surfaces.light(), surfaces.light(rainy)
     p = surfaces.layout.parameters
     factors = color_factors(p) if sharp else {}
-    layers = tuple(_layer(name, quads, light, clouds, factors.get(name)) for name, quads in surfaces.layers.items())
+    with ThreadPoolExecutor(usable_cores()) as pool:  # most of a layer's time is in functions of NumPy
+        made = [pool.submit(_layer, *each, light, clouds, factors.get(each[0])) for each in surfaces.layers.items()]
+    layers = tuple(each.result() for each in made)
     is_truck = p.lead == "truck"
     form = TRUCK_FORM if is_truck else CAR_FORMS[_LEAD_SHAPE]
     gaussians = quads_to_gaussians(surfaces.lead, surfaces.lead_light())

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Float64
+from jaxtyping import Bool, Float, Float64, Int64
 
 from gsrain_engine.scene.geometry import rotation_about_z
 from gsrain_engine.scene.labels import Label
@@ -186,40 +186,53 @@ def light_of_lamps(
     By the inverse square of the distance, the cosine, the lantern's cone, and what crowns, vehicles and houses leave;
     and the light that the ground below each lantern returns.
     """
-    p, normals = points.astype(np.float64), quads.normals.astype(np.float64)
+    along = PointsAlong.of(points.astype(np.float64))
+    quads = quads.take(along.order)
+    p, normals = points[along.order].astype(np.float64), quads.normals.T.astype(np.float64)
+    columns = np.ascontiguousarray(p.T)
     leaf = quads.labels == Label.VEGETATION
     own = np.where(leaf, 1.0, np.minimum(quads.sun_access, 0.25 + quads.sky_access)).astype(np.float64)
-    total = np.zeros((len(p), 3))
-    along = PointsAlong.of(p)
+    total = np.zeros((3, len(p)))
+
+    def around(place: Float64[np.ndarray, "3"], reach_m: float) -> tuple[Int64[np.ndarray, " m"], _Away]:
+        first, end = along.span(float(place[0]), reach_m)
+        away = place[:, None] - columns[:, first:end]
+        near = np.flatnonzero(_dot(away, away) < reach_m**2)
+        return near + first, away[:, near]
+
     for lamp in lanterns(layout):
         place = np.array(lamp.position)
-        near = along.within(place[0], LAMP_REACH_M)
-        near = near[np.sum((p[near] - place) ** 2, axis=1) < LAMP_REACH_M**2]
-        away = place - p[near]
-        squared = np.maximum(np.sum(away**2, axis=1), 0.05)
+        near, away = around(place, LAMP_REACH_M)
+        squared = np.maximum(_dot(away, away), 0.05)
         distance = np.sqrt(squared)
-        facing = facing_share(np.sum(away * normals[near], axis=1) / distance, leaf[near])
-        share = cone_share(away[:, 2] / distance, lamp.inner_deg, lamp.outer_deg) * facing
+        facing = facing_share(_dot(away, normals[:, near]) / distance, leaf[near])
+        share = cone_share(away[2] / distance, lamp.inner_deg, lamp.outer_deg) * facing
         lit = np.flatnonzero(share * lamp.intensity_m2 / squared > 1e-3)
-        share = share[lit] * _unobstructed(layout, place, p[near[lit]]) / squared[lit]
+        share = own[near[lit]] * share[lit] * _unobstructed(layout, place, p[near[lit]]) / squared[lit]
         color = np.array(lamp.color) * lamp.intensity_m2 / np.pi
-        total[near[lit]] += (own[near[lit]] * share)[:, None] * color
-        total[near] += _bounced(place, p[near], normals[near], leaf[near], quads.sky_access[near])[:, None] * (
-            np.array(lamp.color) * _BOUNCE_M2 / np.pi
-        )
+        total[:, near[lit]] += color[:, None] * share
+        bounced = _bounced(place[2], away, normals[:, near], leaf[near], quads.sky_access[near])
+        total[:, near] += (np.array(lamp.color) * _BOUNCE_M2 / np.pi)[:, None] * bounced
     for center, normal, intensity, area in zip(
         windows.centers, windows.normals, windows.intensities, windows.areas_m2, strict=True
     ):
-        near = along.within(center[0], _WINDOW_REACH_M)
-        near = near[np.sum((p[near] - center) ** 2, axis=1) < _WINDOW_REACH_M**2]
-        away = p[near] - center
-        ahead = away @ normal
-        squared = np.sum(away**2, axis=1)
+        near, away = around(center, _WINDOW_REACH_M)
+        squared = _dot(away, away)
         distance = np.sqrt(np.maximum(squared, 1e-6))
-        facing = facing_share(-np.sum(away * normals[near], axis=1) / distance, leaf[near])
-        share = own[near] * np.maximum(ahead, 0) / distance * facing / (squared + area / np.pi)
-        total[near] += share[:, None] * intensity / np.pi
-    return total
+        facing = facing_share(_dot(away, normals[:, near]) / distance, leaf[near])
+        ahead = np.maximum(-(normal @ away), 0) / distance
+        share = own[near] * ahead * facing / (squared + area / np.pi)
+        total[:, near] += (intensity / np.pi)[:, None] * share
+    light = np.empty((len(p), 3))
+    light[along.order] = total.T
+    return light
+
+
+_Away = Float64[np.ndarray, "3 m"]
+
+
+def _dot(a: _Away, b: _Away) -> Float64[np.ndarray, " m"]:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def cone_share(cosine: Float[np.ndarray, " n"], inner_deg: float, outer_deg: float) -> Float64[np.ndarray, " n"]:
@@ -230,18 +243,14 @@ def cone_share(cosine: Float[np.ndarray, " n"], inner_deg: float, outer_deg: flo
 
 
 def _bounced(
-    lamp: Float64[np.ndarray, "3"],
-    p: Float64[np.ndarray, "n 3"],
-    normals: Float64[np.ndarray, "n 3"],
-    leaf: Bool[np.ndarray, " n"],
-    access: Float[np.ndarray, " n"],
-) -> Float64[np.ndarray, " n"]:
-    """Light of the disc of ground below a lantern, relative to its intensity."""
-    away = np.array([lamp[0], lamp[1], 0.0]) - p
-    squared = np.sum(away**2, axis=1)
+    height_m: float, away: _Away, normals: _Away, leaf: Bool[np.ndarray, " m"], access: Float[np.ndarray, " m"]
+) -> Float64[np.ndarray, " m"]:
+    """Light of the disc of ground below a lantern, `away` from points and above, relative to its intensity."""
+    below = away - np.array([[0.0], [0.0], [height_m]])
+    squared = _dot(below, below)
     distance = np.sqrt(squared + 0.1)
-    facing = facing_share(np.sum(away * normals, axis=1) / distance, leaf)
-    return np.maximum(-away[:, 2], 0) / distance * facing * access / (squared + _BOUNCE_RADIUS_M**2)
+    facing = facing_share(_dot(below, normals) / distance, leaf)
+    return np.maximum(-below[2], 0) / distance * facing * access / (squared + _BOUNCE_RADIUS_M**2)
 
 
 def _unobstructed(
@@ -291,12 +300,13 @@ def path_in_ellipsoid(
 ) -> Float64[np.ndarray, " n"]:
     """Meters of the lines from a point to others inside an ellipsoid."""
     from_middle = (start - middle) / radii
-    along = (ends - start) / radii
-    a = np.maximum(np.sum(along**2, axis=1), 1e-12)
+    lines = ends - start
+    along = lines / radii
+    a = np.maximum(np.einsum("nd,nd->n", along, along), 1e-12)
     b = along @ from_middle
     root = np.sqrt(np.maximum(b * b - a * (from_middle @ from_middle - 1), 0))
     part = np.clip((root - b) / a, 0, 1) - np.clip((-root - b) / a, 0, 1)
-    return part * np.linalg.norm(ends - start, axis=1)
+    return part * np.sqrt(np.einsum("nd,nd->n", lines, lines))
 
 
 def _path_in_box(

@@ -124,7 +124,11 @@ class PointsAlong(NamedTuple):
 
     def within(self, x: float, reach: float) -> Int64[np.ndarray, " m"]:
         """Rows of the points less than `reach` from x."""
-        return self.order[np.searchsorted(self.x, x - reach, "right") : np.searchsorted(self.x, x + reach, "left")]
+        return self.order[slice(*self.span(x, reach))]
+
+    def span(self, x: float, reach: float) -> tuple[int, int]:
+        """First and past-the-last of these points in `order`."""
+        return int(np.searchsorted(self.x, x - reach, "right")), int(np.searchsorted(self.x, x + reach, "left"))
 
 
 # Vehicle occluders
