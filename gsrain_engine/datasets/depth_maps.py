@@ -141,12 +141,12 @@ def completed_depth(
     rows, columns = np.nonzero(sparse_m > 0)
     if len(rows) < 3:
         return np.zeros_like(sparse_m)
-    depth, told = _between(sparse_m, rows, columns)
+    depth, interpolated = _between(sparse_m, rows, columns)
     if road_m is None:
         depth = _above(_below(depth))
     else:
         depth = _above(depth)
-        depth = np.where(told, depth, np.minimum(depth, road_m))
+        depth = np.where(interpolated, depth, np.minimum(depth, road_m))
     if sky is not None:
         depth[sky] = 0
     return depth
@@ -171,10 +171,10 @@ def _between(
     found = values[members[triangle, weights.argmax(axis=1)]]
     on_one = is_believed[triangle]
     found[on_one] = 1 / (weights[on_one] / values[members[triangle[on_one]]]).sum(axis=1)
-    depth, told = np.zeros_like(sparse), surrounded
+    depth, interpolated = np.zeros_like(sparse), surrounded
     depth[row, column] = found
-    told[row, column] |= on_one
-    return np.where(sparse > 0, sparse, depth), told
+    interpolated[row, column] |= on_one
+    return np.where(sparse > 0, sparse, depth), interpolated
 
 
 def _believed(
