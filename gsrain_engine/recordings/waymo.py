@@ -56,7 +56,7 @@ class _FrameRain:
     def jpeg(self, view: CaptureFrame, recorded: bytes) -> bytes:
         """Encode the picture of a view in rain; the recorded JPEG if it does not rain."""
         stream, photo = io.BytesIO(), view.image
-        rainy = self._pictures.rainy(view, photo)
+        rainy = self._pictures.begin(view)(photo)
         if rainy is photo:
             return recorded
         Image.fromarray(rainy).save(stream, "JPEG", quality=_JPEG_QUALITY, subsampling=0)

@@ -1,7 +1,7 @@
 """Rainy copies of bags, Waymo, nuScenes and KITTI: other pixels and points, everything else byte for byte."""
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -45,12 +45,10 @@ DRIVE = MiniDrive()
 class Negatives:
     """Pictures that show at once whether they were replaced."""
 
-    written: int = 0
-    provenance: dict = field(default_factory=dict)
+    threads: int = 2
 
-    def rainy(self, view, photo):
-        self.written += 1
-        return 255 - photo
+    def begin(self, view):
+        return lambda photo: 255 - photo
 
 
 def rainy_copy(source: Path, target: Path, intensity_mm_h: float = 60.0) -> LidarRain | None:
