@@ -245,6 +245,17 @@ def test_folders_have_other_pictures_and_lidar_alone(write, tmp_path):
     assert_lidar_is_in_rain(source, target)
 
 
+def test_a_bag_s_progress_is_by_finished_images_and_clouds(tmp_path):
+    recording = open_recording(write_bag(tmp_path / "bag", drive_messages(DRIVE)))
+    lidar = LidarRain(
+        recording.capture, RainSettings(intensity_mm_h=60), SENSORS["64"], full=None, estimates_range=True
+    )
+    steps = [each.fraction for each in recording.write(tmp_path / "rainy", Negatives(), lidar, FileCopies())]
+    images_and_clouds = 2 * DRIVE.samples
+    np.testing.assert_allclose(steps[:images_and_clouds], np.arange(1, images_and_clouds + 1) / images_and_clouds)
+    assert all(each == 1 for each in steps[images_and_clouds:])
+
+
 def test_without_rain_the_points_stay(tmp_path):
     source, target = write_bag(tmp_path / "bag", drive_messages(DRIVE)), tmp_path / "dry"
     rainy_copy(source, target, intensity_mm_h=0.0)
