@@ -3,8 +3,14 @@
 import os
 import sys
 import threading
-from collections.abc import Generator
+from collections import deque
+from collections.abc import Callable, Generator, Iterable
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
+from typing import TypeVar
+
+_Item = TypeVar("_Item")
+_Result = TypeVar("_Result")
 
 _VARIABLES = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Environment variables with the number of threads of Numba, OpenMP (torch), OpenBLAS (NumPy) and MKL (torch)."""
@@ -29,6 +35,45 @@ def lower_thread_priority() -> None:
 def usable_cores() -> int:
     """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+_MAX_WAITING = 256  # items that wait for an earlier one
+
+
+def results_in_order(
+    calls: Iterable[tuple[_Item, Callable[[], _Result] | None]], threads: int
+) -> Generator[tuple[_Item, _Result | None]]:
+    """Yield items in their order, each with the result of its call; as many calls as `threads` run at once.
+
+    Calls are taken one ahead of the threads, so that memory is bounded, and each uses one thread of compiled kernels.
+    An item without a call waits for those before it. An error, and closing, drops calls that have not begun and waits
+    for the others. With one thread, calls run in the caller's, with all threads of kernels.
+    """
+    if threads == 1:
+        for item, call in calls:
+            yield item, None if call is None else call()
+        return
+    waiting = deque[tuple[_Item, Future[_Result] | None]]()
+    with ThreadPoolExecutor(threads, "ordered", initializer=_use_one_thread) as pool:
+        try:
+            ahead = 0
+            for item, call in calls:
+                waiting.append((item, None if call is None else pool.submit(call)))
+                ahead += call is not None
+                while waiting and (waiting[0][1] is None or ahead > threads or len(waiting) > _MAX_WAITING):
+                    first, future = waiting.popleft()
+                    ahead -= future is not None
+                    yield first, None if future is None else future.result()
+            for item, future in waiting:
+                yield item, None if future is None else future.result()
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _use_one_thread() -> None:
+    import numba
+
+    numba.set_num_threads(1)
 
 
 @contextmanager

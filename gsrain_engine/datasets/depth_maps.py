@@ -3,8 +3,9 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
-from jaxtyping import Bool, Float32, Float64
+from jaxtyping import Bool, Float32, Float64, Int64
 from scipy.ndimage import distance_transform_edt, minimum_filter1d
 from scipy.spatial import Delaunay, KDTree, QhullError
 
@@ -116,6 +117,7 @@ def completed_depths(
 
 _LARGEST_RATIO = 1.25  # maximum ratio of the depths of a triangle's corners on one surface
 _LONGEST_EDGE = 0.12  # maximum edge of a valid triangle, as a fraction of the image width
+_CROSS = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
 _FOOT = 0.12  # fraction of the rows above the lowest depth that determine the plane continued below it
 
 
@@ -139,12 +141,12 @@ def completed_depth(
     rows, columns = np.nonzero(sparse_m > 0)
     if len(rows) < 3:
         return np.zeros_like(sparse_m)
-    depth, told = _between(sparse_m, rows, columns)
+    depth, interpolated = _between(sparse_m, rows, columns)
     if road_m is None:
         depth = _above(_below(depth))
     else:
         depth = _above(depth)
-        depth = np.where(told, depth, np.minimum(depth, road_m))
+        depth = np.where(interpolated, depth, np.minimum(depth, road_m))
     if sky is not None:
         depth[sky] = 0
     return depth
@@ -154,27 +156,25 @@ def _between(
     sparse: Float32[np.ndarray, "h w"], rows: np.ndarray, columns: np.ndarray
 ) -> tuple[Float32[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
     """Depth inside the mesh of the measured pixels, 0 elsewhere; and a mask of pixels interpolated on one surface."""
-    height, width = sparse.shape
-    values = sparse[rows, columns].astype(np.float64)
-    corners = np.stack([columns, rows], axis=1).astype(np.float64)
+    surrounded = cv2.erode((sparse > 0).astype(np.uint8), _CROSS, borderType=cv2.BORDER_CONSTANT, borderValue=0) > 0
+    needed = ~surrounded[rows, columns]  # triangles at the others are half a pixel's square
+    corners, values = np.stack([rows, columns], axis=1)[needed], sparse[rows, columns][needed].astype(np.float64)
     try:
-        mesh = Delaunay(corners)
+        mesh = Delaunay(corners.astype(np.float64))
     except QhullError:  # all points on one line
         return sparse.copy(), sparse > 0
-    at = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).reshape(-1, 2).astype(np.float64)
-    triangle = mesh.find_simplex(at)
-    inside = np.flatnonzero(triangle >= 0)
-    believed, reaches = _believed(mesh, values, _LONGEST_EDGE * width)
-    tri = triangle[inside]
-    members = mesh.simplices[tri]
-    weights = _barycentric(mesh, tri, at[inside])
-    linear = 1 / np.maximum((weights / values[members]).sum(axis=1), 1e-9)
-    nearest = values[members[np.arange(len(tri)), weights.argmax(axis=1)]]
-    depth = np.zeros(height * width)
-    depth[inside] = np.where(believed[tri], linear, np.where(reaches[tri], nearest, 0))
-    told = np.zeros(height * width, np.bool_)
-    told[inside] = believed[tri]
-    return depth.reshape(height, width).astype(np.float32), told.reshape(height, width)
+    believed, reaches = _believed(mesh, values, _LONGEST_EDGE * sparse.shape[1])
+    chosen = np.concatenate([np.flatnonzero(reaches & ~believed), np.flatnonzero(believed)])  # the last take the edges
+    members, is_believed = mesh.simplices[chosen], believed[chosen]
+    triangle, row, column = _pixels_of(corners[members])
+    weights = _barycentric(corners[members], triangle, np.stack([row, column], axis=1))
+    found = values[members[triangle, weights.argmax(axis=1)]]
+    on_one = is_believed[triangle]
+    found[on_one] = 1 / (weights[on_one] / values[members[triangle[on_one]]]).sum(axis=1)
+    depth, interpolated = np.zeros_like(sparse), surrounded
+    depth[row, column] = found
+    interpolated[row, column] |= on_one
+    return np.where(sparse > 0, sparse, depth), interpolated
 
 
 def _believed(
@@ -187,10 +187,42 @@ def _believed(
     return reaches & (depths.max(axis=1) <= _LARGEST_RATIO * depths.min(axis=1)), reaches
 
 
-def _barycentric(mesh: Delaunay, triangle: np.ndarray, at: Float64[np.ndarray, "p 2"]) -> Float64[np.ndarray, "p 3"]:
-    turn = mesh.transform[triangle]
-    first = np.einsum("pij,pj->pi", turn[:, :2], at - turn[:, 2])
-    return np.clip(np.concatenate([first, 1 - first.sum(axis=1, keepdims=True)], axis=1), 0, 1)
+def _pixels_of(corners: Int64[np.ndarray, "t 3 2"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Triangle, row and column of each pixel on triangles or their edges, by triangles, from (row, column) corners."""
+    top, bottom = corners[..., 0].min(axis=1), corners[..., 0].max(axis=1)
+    triangle, row = _counted_up(top, bottom)
+    first, last = corners[triangle, :, 1].max(axis=1), corners[triangle, :, 1].min(axis=1)
+    for i in range(3):
+        start, end = corners[triangle, i - 1], corners[triangle, i]
+        down, across = (end - start).T
+        crosses = (
+            (down != 0) & (np.minimum(start[:, 0], end[:, 0]) <= row) & (row <= np.maximum(start[:, 0], end[:, 0]))
+        )
+        steps = (row - start[:, 0]) * across * np.sign(down)
+        size = np.maximum(np.abs(down), 1)
+        first = np.where(crosses, np.minimum(first, start[:, 1] - -steps // size), first)
+        last = np.where(crosses, np.maximum(last, start[:, 1] + steps // size), last)
+    span, column = _counted_up(first, last)
+    return triangle[span], row[span], column
+
+
+def _counted_up(first: Int64[np.ndarray, " n"], last: Int64[np.ndarray, " n"]) -> tuple[np.ndarray, np.ndarray]:
+    """Index and value of all whole numbers of ranges, ends included; a range may be empty."""
+    counts = np.maximum(last - first + 1, 0)
+    index = np.repeat(np.arange(len(counts)), counts)
+    return index, np.arange(len(index)) - (np.cumsum(counts) - counts - first)[index]
+
+
+def _barycentric(
+    corners: Int64[np.ndarray, "t 3 2"], triangle: Int64[np.ndarray, " p"], at: Int64[np.ndarray, "p 2"]
+) -> Float64[np.ndarray, "p 3"]:
+    """Weights of the corners of each pixel's triangle."""
+    first, second = (corners[:, 1:] - corners[:, :1]).transpose(1, 0, 2)
+    area = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
+    offset = at - corners[triangle, 0]
+    b = (offset[:, 0] * second[triangle, 1] - offset[:, 1] * second[triangle, 0]) / area[triangle]
+    c = (first[triangle, 0] * offset[:, 1] - first[triangle, 1] * offset[:, 0]) / area[triangle]
+    return np.stack([1 - b - c, b, c], axis=1)
 
 
 def _below(depth: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:

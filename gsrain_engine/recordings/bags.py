@@ -1,6 +1,7 @@
 """Rainy copies of MCAP files and ROS 2 bags: the same messages, with other pixels and points."""
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -38,16 +39,15 @@ def write_rainy_bag(
     rain = _BagRain(recording, pictures, lidar)
     if source.is_file():
         yield Progress(0.0, source.name)
-        recording.containers[0].copy(target, rain.of_container(0))
+        yield from rain.copied(0, target)
         files.changed += 1
         yield Progress(1.0, "Written")
         return
     with whole_folder(target) as folder:
         for number, container in enumerate(recording.containers):
-            yield Progress(number / len(recording.containers), container.path.name)
             path = folder / container.path.relative_to(source)
             path.parent.mkdir(parents=True, exist_ok=True)
-            container.copy(path, rain.of_container(number))
+            yield from rain.copied(number, path)
             files.changed += 1
         yield Progress(1.0, f"Copying {METADATA}")
         files.add_rest(source, folder, {container.path for container in recording.containers})
@@ -56,21 +56,25 @@ def write_rainy_bag(
 class _BagRain:
     def __init__(self, recording: BagRecording, pictures: RainyPictures, lidar: LidarRain | None) -> None:
         self._recording, self._pictures, self._lidar = recording, pictures, lidar
+        self._done, self._messages = 0, len(recording.images) + (0 if lidar is None else len(recording.clouds))
 
-    def of_container(self, number: int) -> Callable[[BagMessage], bytes | None]:
-        """Return the change of the messages of one container; None keeps a message."""
+    def copied(self, number: int, target: Path) -> Iterator[Progress]:
+        """Copy a container; yields progress after each changed message."""
+        container = self._recording.containers[number]
+        for _ in container.copy(target, partial(self._change, number), self._pictures.threads):
+            self._done += 1
+            yield Progress(min(self._done / self._messages, 1.0), container.path.name)
 
-        def changed(message: BagMessage) -> bytes | None:
-            key = MessageKey(number, message.place)
-            view = self._recording.images.get(key)
-            if view is not None:
-                return with_colors(read_image(message), lambda photo: self._pictures.rainy(view, photo))
-            sweep = self._recording.clouds.get(key)
-            if sweep is not None and self._lidar is not None:
-                return _cloud_in_rain(read_cloud(message), sweep, self._lidar)
-            return None
-
-        return changed
+    def _change(self, number: int, message: BagMessage) -> Callable[[], bytes | None] | None:
+        key = MessageKey(number, message.place)
+        view, sweep = self._recording.images.get(key), self._recording.clouds.get(key)
+        if view is not None:
+            make = self._pictures.begin(view)
+            return lambda: with_colors(read_image(message), make)
+        if sweep is not None and self._lidar is not None:
+            lidar = self._lidar
+            return lambda: _cloud_in_rain(read_cloud(message), sweep, lidar)
+        return None
 
 
 def _cloud_in_rain(cloud: CloudMessage, sweep: LidarSweep, lidar: LidarRain) -> bytes:

@@ -3,23 +3,25 @@
 import os
 import shutil
 from collections.abc import Collection, Iterator, Mapping
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
 from ..appearance.capture_photos import COPY_JPEG_QUALITY
-from ..datasets.capture import Capture, CaptureFrame, LidarSource, LidarSweep
+from ..datasets.capture import Capture, CaptureFrame, LidarSweep
 from ..datasets.io.arrays import RowFile
 from ..datasets.kitti import kitti_surroundings
 from ..render.images import write_image
 from ..safe_io.files import whole_folder
 from ..safe_io.limits import open_file, read_file
 from ..scene.progress import Progress
+from ..threads import results_in_order
 from .lidar import LidarRain
-from .pictures import RainyPictures
+from .pictures import MakePicture, RainyPictures
 
 _COPIED_BYTES = 1 << 30
 
@@ -97,31 +99,46 @@ def write_rainy_folder(
     steps = len(photos) + len(sweeps)
     with whole_folder(target) as whole:
         folder = whole / place
-        for number, (file, view) in enumerate(photos.items()):
-            yield Progress(number / steps, view.name)
-            photo = view.image
-            rainy, path = pictures.rainy(view, photo), folder / file.relative_to(source)
-            if rainy is photo:
-                files.add(file, path)
-            else:
-                write_image(path, Image.fromarray(rainy), COPY_JPEG_QUALITY)
+        yield Progress(0.0, "Images")
+        calls = (
+            ((file, view), partial(_write_picture, view, pictures.begin(view), folder / file.relative_to(source)))
+            for file, view in photos.items()
+        )
+        with closing(results_in_order(calls, pictures.threads)) as results:
+            for number, ((file, view), is_changed) in enumerate(results, 1):
+                if is_changed:
+                    files.changed += 1
+                else:
+                    files.add(file, folder / file.relative_to(source))
+                yield Progress(number / steps, view.name)
+        turns = (
+            (rows, partial(_write_rows, rows, sweep, lidar, folder / rows.file.relative_to(source)))
+            for rows, sweep in sweeps.items()
+        )
+        with closing(results_in_order(turns, pictures.threads)) as results:
+            for number, (rows, _) in enumerate(results, len(photos) + 1):
                 files.changed += 1
-        for number, (rows, sweep) in enumerate(sweeps.items(), len(photos)):
-            yield Progress(number / steps, rows.file.name)
-            assert lidar is not None and sweep.source is not None
-            path = folder / rows.file.relative_to(source)
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(_rows_in_rain(rows, sweep.source, sweep.time_s, lidar))
-            files.changed += 1
+                yield Progress(number / steps, rows.file.name)
         yield Progress(1.0, "Copying all other files")
         files.add_rest(source, folder, {*photos, *(rows.file for rows in sweeps)})
         for file, name in outside.items():
             files.add(file, whole / name)
 
 
-def _rows_in_rain(rows: RowFile, stored: LidarSource, time_s: float, lidar: LidarRain) -> bytes:
+def _write_picture(view: CaptureFrame, make: MakePicture, path: Path) -> bool:
+    """Write the picture of a view, unless it is the photograph itself; returns whether it was written."""
+    photo = view.image
+    rainy = make(photo)
+    if rainy is not photo:
+        write_image(path, Image.fromarray(rainy), COPY_JPEG_QUALITY)
+    return rainy is not photo
+
+
+def _write_rows(rows: RowFile, sweep: LidarSweep, lidar: LidarRain | None, path: Path) -> None:
+    assert lidar is not None and sweep.source is not None
     columns = np.frombuffer(read_file(rows.file), np.float32).reshape(-1, rows.columns)
-    return lidar.with_rain(columns, stored.sensor_to_world, time_s).tobytes()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(lidar.with_rain(columns, sweep.source.sensor_to_world, sweep.time_s).tobytes())
 
 
 def _photos(capture: Capture, source: Path) -> Mapping[Path, CaptureFrame]:

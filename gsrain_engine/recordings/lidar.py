@@ -1,6 +1,7 @@
 """Lidar turns of a recording in rain, in the form in which they are stored."""
 
 from dataclasses import dataclass
+from threading import Lock
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int64
@@ -32,7 +33,8 @@ class LidarRain:
     """Rain on the lidar of a capture: lost echoes, range noise, echoes of drops.
 
     Extinction, drops and their echoes are those of `scan_in_rain`, by the same rain that falls in the pictures. The
-    recorded turns count as those of clear weather. The sensor's range at 10 % is estimated from each turn.
+    recorded turns count as those of clear weather. The sensor's range at 10 % is estimated from each turn. Turns may be
+    made in several threads.
     """
 
     def __init__(
@@ -40,6 +42,7 @@ class LidarRain:
     ) -> None:
         self._rainfall, self._ego = RainSimulation.start(rain), capture.ego
         self._sensor, self._full, self._estimates_range = sensor, full, estimates_range
+        self._counting = Lock()
         self.turns = 0
         """Numbers so far, also of points: recorded, in rain, of drops."""
         self.recorded = self.written = self.false = 0
@@ -64,8 +67,9 @@ class LidarRain:
         same = ~found.is_false & (np.linalg.norm(after - before, axis=1) < _SMALLEST_M)
         back = transform_points(invert_pose(stored_to_world), after)
         back[same] = stored_m[found.beams[same]]
-        self.turns, self.recorded = self.turns + 1, self.recorded + len(points)
-        self.written, self.false = self.written + len(after), self.false + int(found.is_false.sum())
+        with self._counting:
+            self.turns, self.recorded = self.turns + 1, self.recorded + len(points)
+            self.written, self.false = self.written + len(after), self.false + int(found.is_false.sum())
         return RainyRows(found.beams, back, found.sweep.intensities, found.is_false)
 
     def with_rain(

@@ -4,11 +4,7 @@ from collections.abc import Generator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from jaxtyping import UInt8
-
 from ..datasets.bags.containers import MCAP, SQLITE
-from ..datasets.capture import CaptureFrame
 from ..evaluation.lidar.sensor import SENSORS, LidarSensor
 from ..rain.settings import RainSettings
 from ..rain.simulation import RainSimulation
@@ -21,7 +17,7 @@ from ..scene.progress import Progress
 from ..scene.scene import Scene
 from .folders import FileCopies
 from .lidar import LidarRain
-from .pictures import Colors, PhotoRain, RainyPictures, ScenePictures
+from .pictures import PhotoRain, ScenePictures
 from .rainy_recording import Recording
 
 
@@ -61,7 +57,7 @@ def export_recording(
     if recording.has_lidar and not RainSimulation.start(rain).is_dry:
         lidar = LidarRain(capture, rain, sensor or SENSORS["64"], full=full_intensity, estimates_range=True)
     photos = PhotoRain(renderer, capture, rain) if scene is None else None
-    pictures = _Sampled(photos or ScenePictures(renderer, scene or Scene(capture.name), capture, rain))
+    pictures = photos or ScenePictures(renderer, scene or Scene(capture.name), capture, rain)
     yield from recording.write(target, pictures, lidar, files)
     write_provenance(target, pictures.provenance, target.with_name(f"{target.name}.provenance.json"))
     numbers: dict[str, Any] = {"images": pictures.written, "intensity_mm_h": rain.intensity_mm_h}
@@ -103,29 +99,6 @@ def check_copy(recording: Recording, source: Path, target: Path) -> None:
     if target.exists() and (recording.is_file or not target.is_dir() or any(target.iterdir())):
         kind = "file" if recording.is_file else "folder"
         raise ValueError(f"output {target}: there is something already; expected the name of a new {kind}")
-
-
-class _Sampled:
-    """Rainy pictures, of which the first is kept beside its photograph."""
-
-    def __init__(self, pictures: RainyPictures) -> None:
-        self._pictures = pictures
-        self._pair: tuple[Colors, Colors] | None = None
-        self.provenance = pictures.provenance
-
-    @property
-    def written(self) -> int:
-        return self._pictures.written
-
-    def rainy(self, view: CaptureFrame, photo: Colors) -> Colors:
-        picture = self._pictures.rainy(view, photo)
-        if self._pair is None:
-            self._pair = photo, picture
-        return picture
-
-    def draw(self) -> UInt8[np.ndarray, "h w 3"]:
-        """Draw the first photograph, and its picture in rain beside it."""
-        return np.concatenate(self._pair, axis=1) if self._pair else np.zeros((1, 2, 3), np.uint8)
 
 
 def _counted(count: int, noun: str) -> str:

@@ -3,7 +3,9 @@
 import io
 import struct
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -30,9 +32,10 @@ from ..datasets.waymo import (
 )
 from ..safe_io.files import whole_file, whole_folder
 from ..scene.progress import Progress
+from ..threads import results_in_order
 from .folders import FileCopies
 from .lidar import LidarRain
-from .pictures import RainyPictures
+from .pictures import MakePicture, RainyPictures
 
 _JPEG_QUALITY = 95
 _NO_RETURN = -1.0
@@ -48,19 +51,15 @@ class _FrameRain:
 
     def __init__(self, capture: Capture, pictures: RainyPictures, lidar: LidarRain | None) -> None:
         self.views = {view.name: view for view in capture}
-        self.lidar, self._pictures = lidar, pictures
+        self.lidar, self.threads, self._begin = lidar, pictures.threads, pictures.begin
         self.turns: Mapping[Any, _Turn] = {
             sweep.source.key: _Turn(sweep.source, sweep.time_s) for sweep in capture.sweeps if sweep.source is not None
         }
 
-    def jpeg(self, view: CaptureFrame, recorded: bytes) -> bytes:
-        """Encode the picture of a view in rain; the recorded JPEG if it does not rain."""
-        stream, photo = io.BytesIO(), view.image
-        rainy = self._pictures.rainy(view, photo)
-        if rainy is photo:
-            return recorded
-        Image.fromarray(rainy).save(stream, "JPEG", quality=_JPEG_QUALITY, subsampling=0)
-        return stream.getvalue()
+    def begin_jpeg(self, frame: int, camera: int, recorded: bytes) -> Callable[[], bytes] | None:
+        """Return what encodes an image in rain, or gives the recorded JPEG if it does not rain; None without a view."""
+        view = self.views.get(f"{frame:04d}_{WAYMO_CAMERAS.get(camera, f'CAMERA_{camera}')}")
+        return None if view is None else partial(_jpeg, view, self._begin(view), recorded)
 
     def ranges(
         self,
@@ -86,6 +85,15 @@ class _FrameRain:
         found[pixels] = _NO_RETURN
         found[kept] = rows
         return found.reshape(ranges.shape)
+
+
+def _jpeg(view: CaptureFrame, make: MakePicture, recorded: bytes) -> bytes:
+    stream, photo = io.BytesIO(), view.image
+    rainy = make(photo)
+    if rainy is photo:
+        return recorded
+    Image.fromarray(rainy).save(stream, "JPEG", quality=_JPEG_QUALITY, subsampling=0)
+    return stream.getvalue()
 
 
 # First release
@@ -120,23 +128,40 @@ def _write_records(
 ) -> Iterator[Progress]:
     rain, lasers = _FrameRain(capture, pictures, lidar), dict[int, WaymoLaser]()
     size = max(file.stat().st_size, 1)
-    with target.open("wb") as stream:
-        for number, (record, content) in enumerate(records_in(file)):
-            yield Progress(record.start / size, f"Frame {number}")
-            frame = parsed("Frame", content)
-            changed = False
-            for image in frame.images:
-                view = rain.views.get(f"{number:04d}_{WAYMO_CAMERAS.get(image.name, f'CAMERA_{image.name}')}")
-                if view is not None:
-                    image.image, changed = rain.jpeg(view, image.image), True
-            turn = rain.turns.get(record.start)
-            if turn is not None and rain.lidar is not None:
-                for each in frame.context.laser_calibrations:
-                    if each.name not in lasers:
-                        lasers[each.name] = WaymoLaser.of_record(each)
-                _rain_on_lasers(frame, lasers, rain, turn)
-                changed = True
-            stream.write(_framed(frame.SerializeToString(deterministic=True) if changed else content))
+
+    def begin(number: int, start: int, content: bytes) -> Callable[[], bytes] | None:
+        frame = parsed("Frame", content)
+        jpegs = [rain.begin_jpeg(number, image.name, image.image) for image in frame.images]
+        turn = None if rain.lidar is None else rain.turns.get(start)
+        for each in () if turn is None else frame.context.laser_calibrations:
+            if each.name not in lasers:
+                lasers[each.name] = WaymoLaser.of_record(each)
+        is_changed = turn is not None or any(jpegs)
+        return partial(_rainy_frame, frame, jpegs, dict(lasers), rain, turn) if is_changed else None
+
+    calls = (
+        ((number, record.start, content), begin(number, record.start, content))
+        for number, (record, content) in enumerate(records_in(file))
+    )
+    with target.open("wb") as stream, closing(results_in_order(calls, rain.threads)) as results:
+        for (number, start, content), changed in results:
+            stream.write(_framed(content if changed is None else changed))
+            yield Progress((start + len(content)) / size, f"Frame {number}")
+
+
+def _rainy_frame(
+    frame: Any,
+    jpegs: Sequence[Callable[[], bytes] | None],
+    lasers: Mapping[int, WaymoLaser],
+    rain: _FrameRain,
+    turn: _Turn | None,
+) -> bytes:
+    for image, jpeg in zip(frame.images, jpegs, strict=True):
+        if jpeg is not None:
+            image.image = jpeg()
+    if turn is not None:
+        _rain_on_lasers(frame, lasers, rain, turn)
+    return frame.SerializeToString(deterministic=True)
 
 
 def _rain_on_lasers(frame: Any, lasers: Mapping[int, WaymoLaser], rain: _FrameRain, turn: _Turn) -> None:
@@ -195,12 +220,10 @@ def _write_images(tables: WaymoTables, rain: _FrameRain, target: Path) -> Iterat
     numbers = {time: number for number, time in enumerate(times)}
     for part, group, write in _copied_groups(table.path, target):
         yield Progress(0.5 * part, "Images")
-        contents: list[bytes] = []
-        keys = zip(group[WAYMO_TIME].to_pylist(), group[WAYMO_CAMERA].to_pylist(), strict=True)
-        for (time, camera), content in zip(keys, group[column].to_pylist(), strict=True):
-            view = rain.views.get(f"{numbers[time]:04d}_{WAYMO_CAMERAS.get(camera, f'CAMERA_{camera}')}")
-            contents.append(content if view is None else rain.jpeg(view, content))
-        write(group, {column: contents})
+        rows = zip(*(group[name].to_pylist() for name in (WAYMO_TIME, WAYMO_CAMERA, column)), strict=True)
+        calls = ((jpeg, rain.begin_jpeg(numbers[time], camera, jpeg)) for time, camera, jpeg in rows)
+        with closing(results_in_order(calls, rain.threads)) as results:
+            write(group, {column: [jpeg if rainy is None else rainy for jpeg, rainy in results]})
 
 
 def _write_ranges(tables: WaymoTables, rain: _FrameRain, target: Path) -> Iterator[Progress]:

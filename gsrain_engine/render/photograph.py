@@ -14,17 +14,18 @@ from ..rain.frame import RainFrame
 from ..rain.medium import RainMedium
 from ..scene.camera import Camera
 from ..scene.geometry import linear_to_srgb, srgb_to_linear
-from .guided_filter import color_guided_filter
+from .guided_filter import color_guided_fit
 
 cv2: Any = lazy_loader.load("cv2")  # only photographs need it
 
 Colors = UInt8[np.ndarray, "h w 3"]
 Plane = Float32[np.ndarray, "h w"]
 
-_GUIDED_SHARE, _GUIDED_SPREAD = 1 / 12, 3e-3**0.5  # radius over the width; deviation of colors (0..1) that is an edge
+_GUIDED_SHARE, _GUIDED_SPREAD = 1 / 16, 2e-3**0.5  # radius over the width; deviation of colors (0..1) that is an edge
 _AROUND_PX, _ALIKE, _FADED = 3, 0.03, 0.2
 """Reach of a measured distance in pixels of the distances, deviation of colors (0..1) that are one thing, and weight
 of nothing known."""
+_BAND_ROWS = 32  # rows of a picture that are mixed at a time, in the processor's cache
 _MIN_AHEAD = 0.1  # cosine of a ray to the axis: beyond 84 degrees, distances of the picture's edge go on
 
 
@@ -47,25 +48,25 @@ class Distances:
         """Share of light that each pixel of a photograph and its camera keeps in the medium.
 
         It follows the edges of the photograph in place of those between measured distances, by the guided filter (He,
-        Sun and Tang 2013), as haze is estimated from photographs; near measured distances it is theirs.
+        Sun and Tang 2013) fitted in the size of the distances (He and Sun 2015), as haze is estimated from photographs;
+        near measured distances it is theirs.
         """
         own, depth = self.camera, self.depth_m
         points = np.dstack([_tangents(own), np.ones_like(depth)]) * depth[..., None]
         near = medium.transmittance(np.maximum(points.reshape(-1, 3), -1e9)).reshape(depth.shape)
         found = np.ascontiguousarray(np.where(depth > 0, near, medium.sky_transmittance(own.rays)), np.float32)
-        maps = maps_between(camera, own)
-        whole = cv2.remap(found, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        guide = photo.astype(np.float32) / 255
-        smooth = color_guided_filter(whole, guide, max(round(_GUIDED_SHARE * photo.shape[1]), 1), _GUIDED_SPREAD)
+        known = (depth > 0 if self.measured is None else self.measured).astype(np.uint8)
+        small = _small_camera(camera, own)
+        maps = maps_between(small, own)
+        bent = cv2.remap(found, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        measured = cv2.remap(known, *maps, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE) > 0
+        size = small.width, small.height
+        guide = np.asarray(cv2.resize(photo, size, interpolation=cv2.INTER_AREA), np.float32) / np.float32(255)
+        fit = color_guided_fit(bent, guide, max(round(_GUIDED_SHARE * small.width), 1), _GUIDED_SPREAD)
         # The filter lets the far into the near: what is measured to be nearer keeps more.
-        back = maps_between(own, camera)
-        small = cv2.remap(smooth, *back, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        colors = cv2.remap(
-            cv2.blur(guide, _block(camera, own)), *back, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-        )
-        known = depth > 0 if self.measured is None else self.measured
-        error = _spread(np.maximum(found - small, 0), known, colors)
-        smooth += cv2.remap(error, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        error = _spread(np.maximum(bent - fit.at(_planes(guide)), 0), measured, guide)
+        channels = [each.astype(np.float32) / np.float32(255) for each in _planes(photo)]
+        smooth = fit.at(channels) + cv2.resize(error, (camera.width, camera.height))
         return np.clip(smooth, found.min(), found.max())
 
 
@@ -118,13 +119,20 @@ class Photograph:
         that is how the rain adds its own.
         """
         encode, decode = (linear_to_srgb, srgb_to_linear) if falling.is_linear else (np.asarray, np.asarray)
-        behind = decode(np.arange(256) / 255).astype(np.float32)[self.pixels]
+        light, drop = decode(np.arange(256) / 255).astype(np.float32), decode(falling.color).astype(np.float32)
+        air, kept = np.zeros(3, np.float32), None
         if falling.medium is not None:
-            camera = falling.view.camera
-            kept = self.distances.transmittance(falling.medium, camera, self.pixels)[..., None]
-            behind = kept * behind + (1 - kept) * decode(falling.airlight)
-        mixed = encode((1 - share) * behind + share * decode(falling.color))
-        return np.rint(np.clip(mixed, 0, 1) * 255).astype(np.uint8)
+            air = decode(falling.airlight).astype(np.float32)
+            kept = self.distances.transmittance(falling.medium, falling.view.camera, self.pixels)[..., None]
+        out = np.empty_like(self.pixels)
+        for top in range(0, len(out), _BAND_ROWS):
+            rows = slice(top, top + _BAND_ROWS)
+            mixed = np.asarray(cv2.LUT(self.pixels[rows], light))
+            if kept is not None:
+                mixed = air + kept[rows] * (mixed - air)
+            mixed += share[rows] * (drop - mixed)
+            out[rows] = np.rint(np.clip(encode(mixed), 0, 1) * 255)
+        return out
 
 
 def without_medium(falling: RainFrame) -> RainFrame:
@@ -161,9 +169,18 @@ def maps_between(camera: Camera, source: Camera) -> tuple[Plane, Plane]:
     return places[..., 0].astype(np.float32), places[..., 1].astype(np.float32)
 
 
-def _block(camera: Camera, source: Camera) -> tuple[int, int]:
-    """Pixels of a camera's picture in one of a smaller source."""
-    return max(round(camera.width / source.width), 1), max(round(camera.height / source.height), 1)
+def _small_camera(camera: Camera, source: Camera) -> Camera:
+    """Camera with the picture of another one, at most as wide as that of a source."""
+    share = min(source.width / camera.width, 1.0)
+    width, height = (max(round(share * each), 1) for each in (camera.width, camera.height))
+    x, y = width / camera.width, height / camera.height
+    return replace(
+        camera, width=width, height=height, fx=camera.fx * x, fy=camera.fy * y, cx=camera.cx * x, cy=camera.cy * y
+    )
+
+
+def _planes(image: np.ndarray) -> list[np.ndarray]:
+    return [np.ascontiguousarray(image[..., i]) for i in range(3)]
 
 
 def _spread(error: Plane, known: Bool[np.ndarray, "h w"], colors: Float32[np.ndarray, "h w 3"]) -> Plane:
@@ -178,7 +195,8 @@ def _spread(error: Plane, known: Bool[np.ndarray, "h w"], colors: Float32[np.nda
             cv2.warpAffine(each, move, size, flags=cv2.INTER_NEAREST)
             for each in (known_error, known.astype(np.float32), colors)
         )
-        far = ((colors - other) ** 2).sum(axis=-1)
+        red, green, blue = cv2.split((colors - other) ** 2)
+        far = red + green + blue
         weight = there * np.exp(-far / (2 * _ALIKE**2) - (dx * dx + dy * dy) / (2 * (_AROUND_PX / 2) ** 2))
         total += weight * moved
         weights += weight

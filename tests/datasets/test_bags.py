@@ -238,7 +238,7 @@ def test_cut_off_and_foreign_files_are_named(tmp_path):
     for count in (0, 7, 60, len(content) // 2):
         file.write_bytes(content[:count])
         with pytest.raises(CaptureError, match=r"\.mcap: not an MCAP file that can be read to its end"):
-            McapContainer(file).copy(tmp_path / "copy.mcap", lambda each: None)
+            list(McapContainer(file).copy(tmp_path / "copy.mcap", lambda each: None))
     assert not (tmp_path / "copy.mcap").exists()
     file.write_bytes(content.replace(b"\x89MCAP", b"\x89XXXX"))
     with pytest.raises(CaptureError, match="not an MCAP file"):

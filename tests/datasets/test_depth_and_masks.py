@@ -61,6 +61,26 @@ def test_edges_stay_sharp_and_too_little_is_nothing() -> None:
     assert (completed_depth(line) == 4).all()
 
 
+@settings(max_examples=20)
+@given(st.floats(0.02, 1.0), st.integers(0, 2**32 - 1))
+def test_measured_pixels_stay_and_gaps_take_depths_around_them(share: float, seed: int) -> None:
+    """Dense measurements too, of which most are surrounded by others."""
+    random = np.random.default_rng(seed)
+    depth = random.uniform(5, 50, (24, 36)).astype(np.float32)
+    sparse = np.where(random.random(depth.shape) < share, depth, 0).astype(np.float32)
+    filled = completed_depth(sparse)
+    np.testing.assert_array_equal(filled[sparse > 0], sparse[sparse > 0])
+    if (sparse > 0).sum() >= 3:
+        assert filled.min() >= sparse[sparse > 0].min() / 1.5 and filled.max() <= 51
+
+
+def test_dense_measurements_on_one_surface_are_interpolated_exactly() -> None:
+    plane = np.fromfunction(lambda v, u: 10 / (1 + 0.01 * u + 0.02 * v), (40, 60)).astype(np.float32)
+    sparse = plane.copy()
+    sparse[10:14, 20:25] = sparse[30, 3:9] = 0
+    np.testing.assert_allclose(completed_depth(sparse), plane, rtol=1e-5)
+
+
 def test_road_and_wall_of_a_drive() -> None:
     view = drive_capture(3).views[1]
     truth = world_depth(view.camera)

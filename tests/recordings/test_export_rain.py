@@ -43,6 +43,20 @@ def test_a_rainy_copy_has_rain_in_its_images_and_all_else_as_it_was(recording, t
         assert 1 < np.abs(own.image.astype(int) - other.image).mean() < 80
 
 
+def test_a_copy_has_the_same_bytes_on_any_number_of_cores(recording, tmp_path, monkeypatch):
+    facts = []
+    for cores in (1, 3):
+        monkeypatch.setattr("gsrain_engine.recordings.pictures.usable_cores", lambda cores=cores: cores)
+        target = tmp_path / f"rainy_{cores}"
+        assert run(["export-rain", str(recording), "-o", str(target), "--rain", "50"]) == 0
+        facts.append(json.loads(target.with_name(f"{target.name}.provenance.json").read_text())["pictures"])
+    assert list(facts[0].items()) == list(facts[1].items())
+    files = [file for file in (tmp_path / "rainy_1").rglob("*") if file.is_file()]
+    assert len(files) > 3
+    for file in files:
+        assert file.read_bytes() == (tmp_path / "rainy_3" / file.relative_to(tmp_path / "rainy_1")).read_bytes()
+
+
 def test_a_drive_of_kitti_is_copied_with_the_calibration_of_its_day(tmp_path):
     day = tmp_path / "2011_09_26"
     drive = write_kitti(day)

@@ -117,7 +117,8 @@ def test_a_scene_of_the_recording_gives_the_pictures(lens):
         assert np.abs(dry.rainy(view, view.image).astype(int) - view.image).mean() < 4
 
 
-def test_what_is_near_keeps_its_distance_where_that_is_measured():
+@pytest.mark.parametrize("scale", [1, 4])
+def test_what_is_near_keeps_its_distance_where_that_is_measured(scale):
     """A sign at 20 m before a wall at 200 m, whose completed distances leave out its rim."""
     camera = Camera(96, 64, 80.0, 80.0, 48.0, 32.0, LEVEL)
     photo = np.full((64, 96, 3), 150, np.uint8)
@@ -128,10 +129,15 @@ def test_what_is_near_keeps_its_distance_where_that_is_measured():
     depth[measured & (np.arange(96) >= 30)] = 20.0
     rainfall = RainSimulation.start(RainSettings(intensity_mm_h=50, streaks=False))
     falling = FrameInput.of(Scene("none"), rainfall, OVERCAST, RenderView(camera)).falling
-    kept = Distances(camera, depth, measured).transmittance(falling.medium, camera, photo)
+    large = Camera(96 * scale, 64 * scale, 80.0 * scale, 80.0 * scale, 48.0 * scale, 32.0 * scale, LEVEL)
+    photo, middle = np.repeat(np.repeat(photo, scale, axis=0), scale, axis=1), slice(scale // 2, None, scale)
+
+    def transmittance(known):
+        return Distances(camera, depth, known).transmittance(falling.medium, large, photo)[middle, middle]
+
+    kept, alone = transmittance(measured), transmittance(np.zeros_like(measured))
     beta = rainfall.state.extinction_per_m
     sign = measured & (np.arange(96) >= 30)
     assert np.abs(kept[sign] - np.exp(-beta * 20)).max() < 0.1
-    alone = replace(Distances(camera, depth, np.zeros_like(measured))).transmittance(falling.medium, camera, photo)
     assert (kept[sign] > alone[sign]).all() and (kept >= alone - 1e-6).all()
     assert kept[32, 90] == pytest.approx(np.exp(-beta * 200 * np.hypot(1, 42 / 80)), abs=0.03)

@@ -1,7 +1,7 @@
 """Rainy copies of bags, Waymo, nuScenes and KITTI: other pixels and points, everything else byte for byte."""
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -45,12 +45,10 @@ DRIVE = MiniDrive()
 class Negatives:
     """Pictures that show at once whether they were replaced."""
 
-    written: int = 0
-    provenance: dict = field(default_factory=dict)
+    threads: int = 2
 
-    def rainy(self, view, photo):
-        self.written += 1
-        return 255 - photo
+    def begin(self, view):
+        return lambda photo: 255 - photo
 
 
 def rainy_copy(source: Path, target: Path, intensity_mm_h: float = 60.0) -> LidarRain | None:
@@ -245,6 +243,17 @@ def test_folders_have_other_pictures_and_lidar_alone(write, tmp_path):
         assert same == (file.suffix not in (".jpg", ".bin")), file
     assert_pictures_are_negatives(source, target)
     assert_lidar_is_in_rain(source, target)
+
+
+def test_a_bag_s_progress_is_by_finished_images_and_clouds(tmp_path):
+    recording = open_recording(write_bag(tmp_path / "bag", drive_messages(DRIVE)))
+    lidar = LidarRain(
+        recording.capture, RainSettings(intensity_mm_h=60), SENSORS["64"], full=None, estimates_range=True
+    )
+    steps = [each.fraction for each in recording.write(tmp_path / "rainy", Negatives(), lidar, FileCopies())]
+    images_and_clouds = 2 * DRIVE.samples
+    np.testing.assert_allclose(steps[:images_and_clouds], np.arange(1, images_and_clouds + 1) / images_and_clouds)
+    assert all(each == 1 for each in steps[images_and_clouds:])
 
 
 def test_without_rain_the_points_stay(tmp_path):

@@ -23,6 +23,7 @@ from ...optional_packages import MissingPackageError, import_package
 from ...safe_io.files import whole_file
 from ...safe_io.limits import ByteBudget, ExpansionBudget, TooLargeError, check_file, open_file
 from ...safe_io.text_files import read_whole, yaml_values
+from ...threads import results_in_order
 from ..capture import CaptureError, check_inside
 
 MCAP, SQLITE = ".mcap", ".db3"
@@ -66,8 +67,8 @@ class BagMessage(NamedTuple):
     data: bytes
 
 
-Change = Callable[[BagMessage], bytes | None]
-"""Returns other data for a message, or None for a message that stays."""
+Change = Callable[[BagMessage], Callable[[], bytes | None] | None]
+"""Returns what makes other data for a message, in any thread, or None as what it makes; None for one that stays."""
 
 
 @dataclass(frozen=True)
@@ -90,8 +91,11 @@ class Container(ABC):
         """Read the data of one message."""
 
     @abstractmethod
-    def copy(self, target: Path, changed: Change) -> None:
-        """Copy the container with other data in those messages for which `changed` returns some."""
+    def copy(self, target: Path, changed: Change, threads: int = 1) -> Iterator[None]:
+        """Copy the container with other data in those messages for which `changed` makes some, in several threads.
+
+        Yields after each of them.
+        """
 
     def _size(self) -> int:
         return self.path.stat().st_size
@@ -211,7 +215,7 @@ class McapContainer(Container):
                 _, record = next(_parsed(stream, len(content), has_magic=False))
             return self._unpacked(record.data, self._budget())
 
-    def copy(self, target: Path, changed: Change) -> None:
+    def copy(self, target: Path, changed: Change, threads: int = 1) -> Iterator[None]:
         """Copy schemas, channels, messages, attachments and metadata; chunks and indexes are written anew.
 
         Sequence numbers and both times of each message stay. Raises `CaptureError` if the file is cut off.
@@ -222,7 +226,8 @@ class McapContainer(Container):
         with whole_file(target) as partial, partial.open("wb") as stream:
             writer = writers.Writer(stream, chunk_size=_CHUNK_BYTES, compression=compression)
             schemas, channels = {0: 0}, dict[int, int]()
-            for record, message in self._records():
+            calls = ((each, None if each[1] is None else changed(each[1])) for each in self._records())
+            for (record, message), new in results_in_order(calls, threads):
                 kind = _kind(record)
                 if kind == "Header":
                     writer.start(profile=record.profile, library=record.library)
@@ -233,10 +238,11 @@ class McapContainer(Container):
                         record.topic, record.message_encoding, schemas[record.schema_id], record.metadata
                     )
                 elif message is not None:
-                    new = changed(message)
                     data = record.data if new is None else self._packed(new)
                     number = channels[record.channel_id]
                     writer.add_message(number, record.log_time, data, record.publish_time, record.sequence)
+                    if new is not None:
+                        yield
                 elif kind == "Attachment":
                     writer.add_attachment(
                         record.create_time, record.log_time, record.name, record.media_type, record.data
@@ -350,7 +356,7 @@ class SqliteContainer(Container):
                 raise ValueError(f"message {place.offset} is gone")
             return self._bytes(row[0], self._budget())
 
-    def copy(self, target: Path, changed: Change) -> None:
+    def copy(self, target: Path, changed: Change, threads: int = 1) -> Iterator[None]:
         """Copy the file and put new data into the rows of changed messages."""
         with whole_file(target) as partial:
             shutil.copyfile(self.path, partial)
@@ -358,12 +364,13 @@ class SqliteContainer(Container):
                 with self._named_damages():
                     limit_steps(database, self._size())
                     database.execute("PRAGMA journal_mode = MEMORY")
-                for message in self.messages():
-                    new = changed(message)
+                calls = ((message, changed(message)) for message in self.messages())
+                for message, new in results_in_order(calls, threads):
                     if new is not None:
                         with self._named_damages():
                             row = self._packed(new), message.place.offset
                             database.execute("UPDATE messages SET data = ? WHERE id = ?", row)
+                        yield
 
     def _bytes(self, data: Any, budget: ExpansionBudget) -> bytes:
         if not isinstance(data, bytes):
