@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import threading
+from collections.abc import Iterator
 from contextlib import suppress
 from functools import cache
 from importlib import import_module
@@ -76,13 +77,27 @@ def _help() -> None:
 def compile_table() -> None:
     """Compile the kernels of the table that are missing and that no other process compiles, as a helper does."""
     os.environ[_IS_HELPER] = "1"
-    for row in kernel_rows():
+    while compile_another():
+        pass
+
+
+def compile_another() -> bool:
+    """Compile, or load, the next kernel of the table that no other process compiles; return False after the last."""
+    for row in _rows():
         name, types = parse_row(row)
         module, _, function = name.rpartition(".")
         kernel = getattr(import_module(f"{_OWN}{module}"), function)
         if kernel._cache.lock(waiting=False):  # a `KernelCache`
             kernel.compile(types)
             kernel._cache.release()
+            return True
+    return False
+
+
+@cache
+def _rows() -> Iterator[str]:
+    """Rows that this process has not tried."""
+    return iter(kernel_rows())
 
 
 # Rows of the table

@@ -60,10 +60,13 @@ class KernelCache(caching.FunctionCache):
         """Return the kernel for some types of arguments; None if this process has to compile it."""
         found = super().load_overload(sig, target_context)
         if found is None:
-            from .kernel_helpers import help_with  # rarely needed
+            from .kernel_helpers import compile_another, help_with  # rarely needed
 
             help_with(name_of(self.function))
-            self.lock(waiting=True)
+            # Rather than wait for another process, compile what comes next; not within a kernel, for which it may wait.
+            while not self.lock(waiting=False):
+                if _locked or not compile_another():
+                    self.lock(waiting=True)
             found = super().load_overload(sig, target_context)
         if found is not None:
             self.release()
@@ -88,6 +91,7 @@ class KernelCache(caching.FunctionCache):
             except OSError:  # the disk can't be written: each process compiles for itself
                 return True
             self._lock = stack
+            _locked.add(self)
         return True
 
     def release(self) -> None:
@@ -95,6 +99,11 @@ class KernelCache(caching.FunctionCache):
         if self._lock is not None:
             self._lock.close()
             self._lock = None
+            _locked.discard(self)
+
+
+_locked = set[KernelCache]()
+"""Caches of the kernels that this process compiles, one within the other."""
 
 
 def name_of(function: Callable[..., Any]) -> str:

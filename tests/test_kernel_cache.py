@@ -312,17 +312,19 @@ if input() == "compile":
 """
 
 WAITER = """
-from gsrain_engine import kernels
+from gsrain_engine import kernel_helpers, kernels
 from gsrain_engine.water import films
 from numba.core import event
 
+kernel_helpers.kernel_rows = lambda: {rows}
 lock, compiled = kernels.KernelCache.lock, event.RecordingListener()
 
-def ask(cache, *, waiting):
-    print("asks", flush=True)
+def note(cache, *, waiting):
+    if waiting:
+        print("waits", flush=True)
     return lock(cache, waiting=waiting)
 
-kernels.KernelCache.lock = ask
+kernels.KernelCache.lock = note
 with event.install_listener("numba:compile", compiled):
     films._evaporation(20.0)
 print(sum(each.data["dispatcher"] is films._evaporation for _, each in compiled.buffer))
@@ -331,11 +333,12 @@ print(sum(each.data["dispatcher"] is films._evaporation for _, each in compiled.
 
 @pytest.mark.skipif(os.name != "posix", reason="locks of POSIX")
 @pytest.mark.parametrize(("end", "count"), [("compile", 0), ("end", 2)])  # a start and an end of compiling
-def test_a_kernel_is_compiled_by_one_process_while_others_wait(tmp_path, end, count):
+def test_a_kernel_is_compiled_by_one_process_while_others_compile_the_next(tmp_path, end, count):
     with python(HOLDER, tmp_path, stdin=subprocess.PIPE) as holder:
         assert holder.stdout.readline() == "holds\n"
-        with python(WAITER, tmp_path) as waiter:
-            assert waiter.stdout.readline() == "asks\n"
+        with python(WAITER.format(rows=(EVAPORATION, SPLIT)), tmp_path) as waiter:
+            assert waiter.stdout.readline() == "waits\n"
+            assert [each.name.partition("-")[0] for each in tmp_path.rglob("*.nbi")] == ["drop_field._split"]
             holder.communicate(f"{end}\n")
             assert int(waiter.stdout.read()) == count
 

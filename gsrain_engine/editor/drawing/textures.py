@@ -237,45 +237,49 @@ def load_kernels(report: Callable[[int], object] = lambda _count: None) -> None:
 
 
 def compile_kernels() -> None:
-    """Draw one Gaussian and many, in all modes, so that each kernel is compiled or read from the cache."""
-    one = _balls(1)
+    """Draw one Gaussian and many, in all modes, so that each kernel is compiled or read from the cache.
+
+    What most first pictures show comes first: `packaging/kernel_table.py` notes the order.
+    """
+    one, many = _balls(1), _balls(FEW)
     camera = Camera(32, 32, 32.0, 32.0, 16.0, 16.0)
     renderer, parts = CpuRenderer(), [DrawItem(one, np.eye(4))]
+    sort_into_lod_order(one)
+    renderer.draw([DrawItem(many, np.eye(4))], camera)
     for degree in (1, 4, 9, 16):
         renderer.draw([DrawItem(one.with_sh(np.zeros((1, degree, 3), np.float32)), np.eye(4))], camera, with_depth=True)
-    many = _balls(FEW)
-    renderer.draw([DrawItem(many, np.eye(4))], camera)
-    tree = build_lod_tree(many)
-    average_below(tree, many.sh)
-    cut_lod_tree(tree, camera, np.eye(4))
+    _draw_rain(renderer)
     view = RainCamera(camera, np.eye(4), np.zeros(3))
     for model in ("physical", "paper"):
         rain = RainSettings(intensity_mm_h=1.0, model=model)
         renderer.draw(parts, camera, RainSimulation.start(rain).frame(0.0, view))
-    _draw_water(renderer)
-    sort_into_lod_order(one)
+    tree = build_lod_tree(many)
+    average_below(tree, many.sh)
+    cut_lod_tree(tree, camera, np.eye(4))
     for mode in get_args(RenderMode):
         renderer.draw(parts, camera, mode=mode)
     mark_kernels()
 
 
-def _draw_water(renderer: CpuRenderer) -> None:
-    """Draw the mirror of a puddle under a lamp, and what glass with a drop shows of it, with rain and without."""
+def _draw_rain(renderer: CpuRenderer) -> None:
+    """Draw rain on dry ground; then the mirror of a puddle under a lamp, and drops on glass, with rain and without."""
     ground, sky = (replace(_balls(1), means=np.array([[x, 0.0, 0.0]], np.float32)) for x in (3.0, 500.0))
     cover = np.full((1, 1, 2), 255, np.uint8)
     cover.flags.writeable = False  # as of scenes from files
     water = GroundWater((0.0, -5.0), 10.0, cover)
     lamp = Lamp(position=(4.0, 0.0, 1.0), intensity_m2=1.0)
-    layers = Layer("ground", ground), Layer("sky", sky, kind="sky")
-    scene = Scene("puddle", layers, ground_m=0.0, water=water, lamps=(lamp,))
+    dry = Scene("road", (Layer("ground", ground), Layer("sky", sky, kind="sky")), ground_m=0.0)
+    puddle = replace(dry, name="puddle", water=water, lamps=(lamp,))
     pose = look_at(np.array([0.0, 0.0, 1.5]), np.array([4.0, 0.0, 1.0]), np.array([0.0, 0.0, 1.0]))
     shot = RenderView(Camera.from_fov(64, 48, 50.0, pose), 0.02)
+    rainfall = RainSimulation.start(RainSettings(intensity_mm_h=4.0))
+    draw(renderer, FrameInput.of(dry, rainfall, OVERCAST, shot)).read_uint8()
     for intensity, wetness in ((4.0, None), (0.0, 1.0)):
         for lamps in ("none", None):
             rain = RainSettings(intensity_mm_h=intensity, wetness=wetness, lamps=lamps, glass="windshield")
             rainfall = RainSimulation.start(rain)
-            draw(renderer, FrameInput.of(scene, rainfall, OVERCAST, shot, Quality(still=StillScene())))
-            picture = draw(renderer, FrameInput.of(scene, rainfall, OVERCAST, shot))
+            draw(renderer, FrameInput.of(puddle, rainfall, OVERCAST, shot, Quality(still=StillScene())))
+            picture = draw(renderer, FrameInput.of(puddle, rainfall, OVERCAST, shot))
             pixels = picture.read_uint8()
             pixels[20:24, 30:34] = 255  # a lamp, whose light the film on wiped glass spreads
             for each in picture.filters:
