@@ -4,7 +4,7 @@ import logging
 import os
 import select
 import sys
-from collections.abc import Generator, Iterable, Sequence
+from collections.abc import Generator, Iterable, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, redirect_stdout
 from contextvars import copy_context
 from difflib import get_close_matches
@@ -12,7 +12,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from cyclopts import App, ArgumentCollection, CycloptsError, MissingArgumentError, Parameter
+from cyclopts import App, ArgumentCollection, CycloptsError, Group, MissingArgumentError, Parameter
 
 from gsrain_engine import plugins
 from gsrain_engine.optional_packages import MissingPackageError
@@ -43,12 +43,30 @@ _OURS = ("gsrain", "gsrain_engine", "app")  # loggers whose info messages the co
 _HELP_ALL = "--help-all"
 _HARMLESS = frozenset({"--help", "-h", _HELP_ALL, "--version"})  # options that need no working directory
 
+COMMAND_TOPICS: Mapping[str, Sequence[str]] = {
+    "Scenes and pictures": ("render", "info", "convert", "edit", "publish"),
+    "Rain": ("export-rain", "calibrate", "disdrometer"),
+    "Captures and looks": ("reconstruct", "transfer", "train-transfer", "recolor"),
+    "Tests in the rain": ("evaluate", "drive", "sweep", "serve"),
+    "This program": ("doctor", "bench", "schema"),
+}
+"""Headings of the help, and the commands below them; those of installed packages come last."""
+_TOPICS = {topic: Group(topic, sort_key=number) for number, topic in enumerate(COMMAND_TOPICS)}
+_PLACES = {
+    name: {"group": _TOPICS[topic], "sort_key": place}
+    for topic, names in COMMAND_TOPICS.items()
+    for place, name in enumerate(names)
+}
+_MORE = Group("More", sort_key=len(COMMAND_TOPICS))
+_COMMANDS = Group.create_default_commands()
+
 app = App(
     name="gsrain",
     help="Calibrated rain in captured 3D Gaussian Splatting scenes. Without a command: open the window.",
     version=metadata.version("gsrain"),
     help_format="plaintext",
     group_parameters=OPTIONS,
+    group_commands=_MORE,
     default_parameter=Parameter(validator=reject_non_finite, converter=parse_whole_numbers),
 )
 
@@ -87,9 +105,9 @@ def view(
 
 
 for name, (function, summary) in SHELL_COMMANDS.items():
-    app.command(function, name=name, help=summary)
+    app.command(function, name=name, help=summary, **_PLACES[name])
 
-benchmarks = App(name="bench", help="Time this machine.")
+benchmarks = App(name="bench", help="Time this machine.", group_commands=_COMMANDS, **_PLACES["bench"])
 app.command(benchmarks)
 for name, (function, summary) in BENCHMARKS.items():
     benchmarks.command(function, name=name, help=summary)
@@ -113,7 +131,12 @@ def bench_all(
     write_numbers(json, numbers)
 
 
-evaluations = App(name="evaluate", help="Measure detectors, lidars, transfers and pictures in rain.")
+evaluations = App(
+    name="evaluate",
+    help="Measure detectors, lidars, transfers and pictures in rain.",
+    group_commands=_COMMANDS,
+    **_PLACES["evaluate"],
+)
 app.command(evaluations)
 for name, (function, summary) in EVALUATIONS.items():
     evaluations.command(function, name=name, help=summary)
@@ -260,7 +283,10 @@ def installed(commands: App, point: EntryPointGroup, asked: str = "") -> Generat
 
     Raises `ExtensionError` with the reason if that one is unusable, ValueError if no evaluation has that name.
     """
-    added = [each for each in find_extensions(point) if each.name not in commands]
+    added, group = (
+        [each for each in find_extensions(point) if each.name not in commands],
+        _MORE if commands is app else None,
+    )
     names = [each for each in (*commands, *(each.name for each in added)) if not each.startswith("-")]
     if commands is evaluations and asked and not asked.startswith("-") and asked not in names:
         like = get_close_matches(asked, names, 1)
@@ -269,9 +295,9 @@ def installed(commands: App, point: EntryPointGroup, asked: str = "") -> Generat
     try:
         for each in added:
             if each.name == asked:
-                commands.command(each.load_callable(), name=each.name)
+                commands.command(each.load_callable(), name=each.name, group=group)
             else:  # it appears only in the help
-                commands.command(each.place, name=each.name, help=_summary(each))
+                commands.command(each.place, name=each.name, help=_summary(each), group=group)
         yield
     finally:
         for name in {each.name for each in added}.intersection(commands):

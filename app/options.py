@@ -31,6 +31,7 @@ from cyclopts import Group, Parameter, Token, convert
 
 from gsrain_engine.choices import UNIT_M, Axis
 from gsrain_engine.fields import Field, field_of, fields_of, number_text, option_names
+from gsrain_engine.presets import shipped_config_names
 from gsrain_engine.safe_io.errors import convert_checked
 from gsrain_engine.safe_io.text_files import yaml_values
 from gsrain_engine.trusted_code import UntrustedCodeError, trust, trust_permanently
@@ -107,7 +108,10 @@ AllowOutside = Annotated[
         "More",
     ),
 ]
-Preset = Annotated[str | None, option("Rain preset (clear, 1.2, 8.5, 12.0, paper) or a preset file.", topic="Rain")]
+Preset = Annotated[
+    str | None,
+    option(f"Rain preset, one of {', '.join(shipped_config_names('rain'))}, or a preset file.", topic="Rain"),
+]
 Wet = Annotated[
     bool | None,
     option(

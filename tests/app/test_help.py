@@ -7,7 +7,7 @@ import sys
 import pytest
 from cyclopts import App
 
-from app.main import app, evaluations, installed, options_in_help, run
+from app.main import COMMAND_TOPICS, app, evaluations, installed, options_in_help, run
 from app.options import TOPICS, all_listed
 from gsrain_engine import plugins
 from gsrain_engine.choices import FACTORS, READ_FORMATS, WRITTEN_FORMATS
@@ -57,6 +57,20 @@ def help_of(words, flag, capsys):
     return shown, re.findall(r"^╭─ ([A-Z][a-z ]*?) ─", text, re.MULTILINE), text.rstrip().splitlines()[-1]
 
 
+def test_each_command_is_below_a_heading_that_says_what_it_is_for(capsys):
+    listed = [name for names in COMMAND_TOPICS.values() for name in names]
+    own = [name for name in app if not name.startswith("-") and name not in installed_names()]
+    assert sorted(listed) == sorted(own)
+    assert run(["--help"]) == 0
+    text = capsys.readouterr().out
+    places = [text.index(f"─ {topic} ─") for topic in COMMAND_TOPICS]
+    assert places == sorted(places) and text.index("│ render ") < text.index("│ convert ") < places[1]
+
+
+def installed_names() -> set[str]:
+    return {each.name for each in plugins.find_extensions(plugins.COMMANDS)}
+
+
 @pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
 def test_help_lists_the_common_options_and_help_all_lists_all(words, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "150")
@@ -66,7 +80,7 @@ def test_help_lists_the_common_options_and_help_all_lists_all(words, capsys, mon
     assert ("--help-all" in line) == (len(shown) < len(everything))
     if len(shown) < len(everything):
         assert line.endswith(f"--help-all lists all {len(everything)}.")
-    assert set(all_headings) <= {*TOPICS, "Arguments", "Commands"}
+    assert set(all_headings) <= {*TOPICS, *COMMAND_TOPICS, "Arguments", "Commands"}
     assert [each for each in all_headings if each in headings] == headings
 
 
