@@ -16,7 +16,7 @@ from typing import Any
 
 import psutil
 
-from .compile_cache import kernel_rows, stores_kernels
+from .compile_cache import has_kernels, kernel_rows, stores_kernels
 from .optional_packages import is_frozen
 from .threads import WORKER_NICENESS, usable_cores
 
@@ -47,7 +47,9 @@ class KernelHelpers:
             return
         command, none = [sys.executable, "-P", "-m", __name__], subprocess.DEVNULL
         for _ in range(count if os.name == "posix" else 1):  # elsewhere no lock keeps two from the same kernel
-            self._programs.append(subprocess.Popen(command, stdin=subprocess.PIPE, stdout=none, stderr=none))
+            helper = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=none, stderr=none)
+            threading.Thread(target=helper.wait, daemon=True).start()  # an ended one doesn't stay as a zombie
+            self._programs.append(helper)
 
     @property
     def are_running(self) -> bool:
@@ -64,7 +66,7 @@ class KernelHelpers:
 @cache
 def help_with(kernel: str) -> None:
     """Start helpers, once in a process, if a missing kernel is one of the table: others of it will be needed too."""
-    if any(row.startswith(f"{kernel}(") for row in kernel_rows()):
+    if not has_kernels() and any(row.startswith(f"{kernel}(") for row in kernel_rows()):
         _help()
 
 

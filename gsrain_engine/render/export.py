@@ -3,11 +3,14 @@
 import shlex
 import time
 from collections.abc import Iterator, Mapping, Sequence, Set
-from contextlib import ExitStack
-from dataclasses import replace
+from contextlib import ExitStack, closing, suppress
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
+import psutil
 from jaxtyping import UInt8, UInt16
 
 from ..choices import RenderMode
@@ -20,13 +23,16 @@ from ..scene.camera_path import CameraPath
 from ..scene.open import with_lod_trees
 from ..scene.progress import Progress
 from ..scene.scene import Scene
+from ..threads import results_in_order
+from .cpu.renderer import CpuRenderer
 from .export_settings import DEFAULT_SIZE_PX, ExportSettings, Pass, export_files, export_outputs
 from .images import FrameWriter, open_frame_writer
 from .level_of_detail import lod_cut
 from .object_labels import draw_labels, label_legend
 from .provenance import PictureProvenance, provenance_of
-from .renderer import Frame, PendingImage, Renderer
+from .renderer import Frame, PendingImage, Renderer, RenderStatistics
 from .sequence import FrameSequence, RigCameraView, common_sky, find_rig_cameras
+from .sky_color import SkyColor
 
 _PREVIEW_PX = 320
 _PREVIEW_EVERY_S = 0.5
@@ -60,27 +66,14 @@ def export_frames(
             for is_clear in ((True, False) if recording.twin else (False,))
         ]
         yield Progress(0.0, "Looking at the sky")
-        sky = common_sky(renderer, sequences)
+        is_sunny = recording.twin == "sunny"
+        drawing = _Drawing(renderer, streams, common_sky(renderer, sequences), mode, is_sunny=is_sunny)
         estimator, drawn = EtaEstimator(len(numbers)), list[_DrawnFrame]()
-        for number in (*numbers, None):  # each frame is read back and written after the next one was drawn
-            ahead = list[_DrawnFrame]()
+        frames = chain(_in_order(drawing, numbers), ([],))
+        while True:  # each frame is read back and written after the next one was drawn
             try:
-                for sequence, writer, passes, is_clear in streams if number is not None else ():
-                    assert number is not None
-                    labels = frame = None
-                    if "labels" in passes:
-                        shot = sequence.shot(number)
-                        labels = draw_labels(renderer, sequence.scene, shot.camera, shot.time_s)
-                    if passes - {"labels"}:  # last, so that the renderer's image is the color pass
-                        rain_sky, with_depth = (
-                            None if is_clear and recording.twin == "sunny" else sky,
-                            "depth" in passes,
-                        )
-                        if writer.takes_bytes:
-                            frame = sequence.request(renderer, number, rain_sky, mode=mode)
-                        else:
-                            frame = sequence.frame(renderer, number, rain_sky, with_depth=with_depth, mode=mode)
-                    ahead.append(_DrawnFrame(number, writer, frame, labels))
+                if (ahead := next(frames, None)) is None:
+                    break
                 written = [each.write() for each in drawn]
             except OSError as error:
                 reason, done = error.strerror or str(error), estimator.done
@@ -91,6 +84,9 @@ def export_frames(
             if written:
                 yield estimator.step(written[-1])
             drawn = ahead
+
+
+_Bytes = UInt8[np.ndarray, "h w 3"]
 
 
 class _OutputStream(NamedTuple):
@@ -107,14 +103,93 @@ class _DrawnFrame(NamedTuple):
 
     number: int
     writer: FrameWriter
-    frame: Frame | PendingImage | None
+    frame: "Frame | PendingImage | _Bytes | None"
     labels: UInt16[np.ndarray, "h w"] | None
 
-    def write(self) -> Frame | UInt8[np.ndarray, "h w 3"] | None:
+    def read(self) -> "_DrawnFrame":
+        """Wait for the frame: the renderer may draw another one."""
+        return self._replace(frame=self.frame()) if callable(self.frame) else self
+
+    def write(self) -> "Frame | _Bytes | None":
         """Wait for the frame, write it, and return what was written of its color."""
-        frame = self.frame if self.frame is None or isinstance(self.frame, Frame) else self.frame()
+        frame = self.frame() if callable(self.frame) else self.frame
         self.writer.write(self.number, frame, self.labels)
         return frame
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Drawing:
+    """Draws the frames of all streams."""
+
+    renderer: Renderer
+    streams: Sequence[_OutputStream]
+    sky: SkyColor
+    mode: RenderMode
+    is_sunny: bool
+    """True if the clear twin has the light of the scene."""
+
+    def copy(self) -> "_Drawing":
+        """Return one for another thread, with a renderer and memories of cameras of its own."""
+        streams = [each._replace(sequence=replace(each.sequence)) for each in self.streams]
+        return replace(self, renderer=CpuRenderer(), streams=streams)
+
+    def frames(self, number: int) -> list[_DrawnFrame]:
+        drawn = list[_DrawnFrame]()
+        for sequence, writer, passes, is_clear in self.streams:
+            labels = frame = None
+            if "labels" in passes:
+                shot = sequence.shot(number)
+                labels = draw_labels(self.renderer, sequence.scene, shot.camera, shot.time_s)
+            if passes - {"labels"}:  # last, so that the renderer's image is the color pass
+                sky, with_depth = None if is_clear and self.is_sunny else self.sky, "depth" in passes
+                if writer.takes_bytes:
+                    frame = sequence.request(self.renderer, number, sky, mode=self.mode)
+                else:
+                    frame = sequence.frame(self.renderer, number, sky, with_depth=with_depth, mode=self.mode)
+            drawn.append(_DrawnFrame(number, writer, frame, labels))
+        return drawn
+
+
+_MAX_THREADS = 8
+_BYTES_PER_GAUSSIAN, _BYTES_PER_PIXEL = 300, 400  # of a renderer, while it draws
+
+
+def _in_order(drawing: _Drawing, numbers: Sequence[int]) -> Iterator[list[_DrawnFrame]]:
+    """Draw frames by their numbers; the processor draws as many at once as it has cores and memory for."""
+    renderer = drawing.renderer
+    threads = _thread_count(drawing.streams, len(numbers)) if isinstance(renderer, CpuRenderer) else 1
+    if threads == 1 or not isinstance(renderer, CpuRenderer):
+        yield from map(drawing.frames, numbers)
+        return
+    idle = [drawing]
+
+    def read(number: int) -> tuple[list[_DrawnFrame], RenderStatistics]:
+        own: _Drawing | None = None
+        with suppress(IndexError):  # all are in use by other threads
+            own = idle.pop()
+        own = own or drawing.copy()
+        try:
+            return [each.read() for each in own.frames(number)], own.renderer.statistics
+        finally:
+            idle.append(own)
+
+    calls = ((number, partial(read, number)) for number in numbers)
+    with closing(results_in_order(calls, threads)) as results:
+        for _, result in results:
+            assert result is not None
+            frames, renderer.statistics = result
+            yield frames
+
+
+def _thread_count(streams: Sequence[_OutputStream], frames: int) -> int:
+    """Return how many frames may be drawn at once."""
+    import numba  # sets the number of threads of this process, of which a sweep's workers have a share
+
+    gaussians = max(each.sequence.scene.gaussian_count for each in streams)
+    pixels = max(each.sequence.width * each.sequence.height * each.sequence.supersampling**2 for each in streams)
+    needed = _BYTES_PER_GAUSSIAN * gaussians + _BYTES_PER_PIXEL * pixels
+    room = psutil.virtual_memory().available // (2 * needed + 1)
+    return max(1, min(numba.get_num_threads(), _MAX_THREADS, frames, room))
 
 
 def _open_stream(
@@ -137,7 +212,7 @@ class EtaEstimator:
         self.done = 0
         self._frames, self._began, self._previewed = frames, -np.inf, -np.inf
 
-    def step(self, frame: Frame | UInt8[np.ndarray, "h w 3"] | None) -> Progress:
+    def step(self, frame: Frame | _Bytes | None) -> Progress:
         """Count a frame; attach a preview at intervals."""
         self.done += 1
         now, preview = time.perf_counter(), None

@@ -157,7 +157,7 @@ def test_parts_of_an_mcap_file_expand_within_one_budget(
     with refused(CaptureError, r"a\.mcap: .*larger than \d+ MB"):
         list(bag.messages())
     with refused(CaptureError, r"a\.mcap: .*larger than \d+ MB"):
-        bag.copy(tmp_path / "copy.mcap", lambda _: None)
+        list(bag.copy(tmp_path / "copy.mcap", lambda _: None))
     assert not (tmp_path / "copy.mcap").exists()
 
 

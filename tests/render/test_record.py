@@ -9,6 +9,7 @@ from pathlib import Path
 
 import av
 import msgspec
+import numba
 import numpy as np
 import OpenEXR
 import pytest
@@ -219,7 +220,7 @@ def test_each_frame_is_read_while_the_next_is_drawn_and_the_last_one_too(scene, 
         renderer.draw = counted
         progress = list(export_frames(renderer, recording, sequences, numbers))
         assert [each.message[:10] for each in progress[1:]] == [f"Frame {k} of" for k in (1, 2, 3, 4)]
-        assert events[-4:] == [0, 0, 1, 2], name
+        assert name == "cpu" or events[-4:] == [0, 0, 1, 2]  # the processor draws several at once
         for number, image in expected.items():
             np.testing.assert_array_equal(pixels(tmp_path / "frames" / f"{number:06d}.png"), image)
         shutil.rmtree(tmp_path / "frames")
@@ -237,6 +238,22 @@ def test_a_recording_that_is_left_can_be_played(scene, rainfall, path, tmp_path)
     assert progress[3].fraction == pytest.approx(0.03)
     assert progress[1].preview.shape == (64, 96, 3)
     assert progress[1].preview.std() > 5
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_frames_through_wiped_glass_are_those_drawn_alone_on_any_number_of_threads(
+    scene, path, tmp_path, monkeypatch, threads
+):
+    monkeypatch.setattr(numba, "get_num_threads", lambda: threads)
+    rain = RainSimulation.start(RainSettings(intensity_mm_h=50.0, glass="windshield", wiper="high", glass_wet_s=4.0))
+    recording = ExportSettings(output=str(tmp_path / "frames"), size_px=SIZE, fps=5.0, last_s=1.0)
+    recorded(recording, scene, rain, path)
+    found = [pixels(tmp_path / "frames" / f"{number:06d}.png") for number in range(5)]
+    for number in (1, 3):
+        alone = ExportSettings(output=str(tmp_path / f"alone{number}"), size_px=SIZE, fps=5.0, last_s=1.0)
+        recorded(alone, scene, rain, path, [number])
+        assert pixels(tmp_path / f"alone{number}" / f"{number:06d}.png").tobytes() == found[number].tobytes()
+    assert found[1].tobytes() != found[3].tobytes()
 
 
 def test_a_single_image_is_the_frame_that_a_sequence_has_at_that_moment(scene, rainfall, path):

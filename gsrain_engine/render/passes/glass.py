@@ -83,7 +83,7 @@ def _glass(pane: Pane, frame: FrameInput) -> WetGlass:
         history = known[1]
         history.past, history.spray = past, partial(spray_of, frame.scene, rainfall)
         history.at(frame.time_s)
-        drops, film_m = history.drops.present(), history.drops.film_m
+        drops, film_m = history.drops.present(), history.drops.film_m.copy()  # the history goes on
         blade_rad = history.wiper.angle_rad if pane.kind == "windshield" and rain.wiper != "off" else None
     return WetGlass(
         pane, drops, film_m, GlassDrops.film_cell_m, rain.contact_angle_deg, blade_rad, rain.glass_dirt, rain.seed
