@@ -87,6 +87,7 @@ class KernelCache(caching.FunctionCache):
                 self._impl.locator.ensure_cache_path()
                 path.touch()
                 if not stack.enter_context(lock_path(path, waiting=waiting)):
+                    stack.close()
                     return False
             except OSError:  # the disk can't be written: each process compiles for itself
                 return True
