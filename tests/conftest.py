@@ -57,6 +57,15 @@ def pytest_collection_finish():
     gc.freeze()
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _return_memory():
+    """Return what a file's tests have freed: else the C library keeps gigabytes for the next ones."""
+    yield
+    from gsrain_engine.malloc_tuning import trim_memory  # after the type checker
+
+    trim_memory()
+
+
 def _has_street() -> bool:
     from gsrain_engine.scene.built_in import DEFAULT_SCENE, built_in_names  # after the type checker
 
