@@ -18,7 +18,7 @@ import psutil
 
 from .compile_cache import has_kernels, kernel_rows, stores_kernels
 from .optional_packages import is_frozen
-from .threads import WORKER_NICENESS, usable_cores
+from .threads import usable_cores
 
 _HELPER_BYTES = 500 << 20  # memory that a compiler needs
 _MOST = 8  # helpers: the largest kernel takes a twentieth of the time of all
@@ -143,5 +143,4 @@ def _end_with_parent() -> None:
 
 if __name__ == "__main__":
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    os.nice(WORKER_NICENESS // 2)
     compile_table()
