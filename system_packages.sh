@@ -18,7 +18,6 @@ need libegl1 library libEGL.so.1
 need libegl-mesa0 sh -c 'ls /usr/share/glvnd/egl_vendor.d/*.json /etc/glvnd/egl_vendor.d/*.json 2>/dev/null | grep -q .'
 need libgl1 library libGL.so.1
 need libgl1-mesa-dri sh -c 'find /usr/lib /usr/local/lib -name "swrast_dri.so" -o -name "libgallium*.so" -o -name "libnvidia-eglcore*" 2>/dev/null | grep -q .'
-need libgomp1 library libgomp.so.1
 need libxrender1 library libXrender.so.1
 need xvfb command -v Xvfb
 need xauth command -v xauth

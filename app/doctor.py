@@ -21,6 +21,7 @@ from gsrain_engine.optional_packages import (
 )
 from gsrain_engine.plugins import Extension, find_extensions
 from gsrain_engine.safe_io.text_files import printable_line
+from gsrain_engine.threads import kernel_threads
 
 from .console import print, run_with_progress
 from .options import JsonFile, flag, option, window_problem
@@ -28,7 +29,6 @@ from .outputs import check_writable, write_numbers
 from .schema import settings_type
 
 if TYPE_CHECKING:
-    import numpy as np
     from packaging.requirements import Requirement
 
 _FEW_SPLATS, _MANY_SPLATS = (100_000,), (1_000_000, 3_000_000)
@@ -186,25 +186,12 @@ def _video() -> Finding:
     return _tried("video", encoders, "(left out of frozen programs)" if is_frozen() else "pip install av")
 
 
-@finding(
-    "compiled kernels", "brew install libomp" if sys.platform == "darwin" else "On Debian: apt-get install libgomp1"
-)
+@finding("compiled kernels", "pip install numba")
 def _threads() -> str:
     import numba
-    import numpy as np
 
-    @numba.njit(parallel=True)
-    def count(values: "np.ndarray") -> float:
-        total = 0.0
-        for i in numba.prange(len(values)):
-            total += values[i]
-        return total
-
-    count(np.ones(8))
-    name = numba.threading_layer()
-    if name == "workqueue":  # Numba's own layer, which aborts the process
-        raise RuntimeError("libgomp is missing: two threads that draw at once would end the program.")
-    return f"Numba {numba.__version__}, {name}, {numba.get_num_threads()} threads"
+    assert numba.njit(lambda: 1)() == 1
+    return f"Numba {numba.__version__}, {kernel_threads()} threads"
 
 
 @finding("versions of packages")

@@ -2,11 +2,11 @@
 
 import argparse
 import json
+import os
 import statistics
 import time
 from collections.abc import Callable
 
-import numba
 import numpy as np
 import torch
 
@@ -19,6 +19,7 @@ from gsrain_engine.render.cpu.splats import nearest_first
 from gsrain_engine.render.cpu.tiles import bin_into_tiles
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.open import random_scene
+from gsrain_engine.threads import usable_cores
 
 
 def gaussians_of(scene: str) -> TrainedGaussians:
@@ -97,9 +98,9 @@ def main() -> None:
     parser.add_argument("--scene", default="random-200k", help="a random scene by name")
     parser.add_argument("--size", default="480x320")
     parser.add_argument("--repeats", type=int, default=9)
-    parser.add_argument("--threads", type=int, default=numba.config.NUMBA_NUM_THREADS)
+    parser.add_argument("--threads", type=int, default=usable_cores())
     arguments = parser.parse_args()
-    numba.set_num_threads(arguments.threads)
+    os.environ["NUMBA_NUM_THREADS"] = str(arguments.threads)
     tune_malloc()
     gaussians = gaussians_of(arguments.scene)
     camera = Camera.from_fov(*map(int, arguments.size.split("x")), 60.0, np.eye(4))

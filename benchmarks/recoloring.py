@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import os
 import time
 from collections.abc import Generator, Iterator
 from dataclasses import replace
@@ -217,10 +218,9 @@ def main() -> None:
     parser.add_argument("--capture", type=Path, help="what that was made from; its pictures get a plain wet look")
     parser.add_argument("--figure", type=Path, help="PNG to draw")
     arguments = parser.parse_args()
-    import numba
     import torch
 
-    numba.set_num_threads(1)
+    os.environ["NUMBA_NUM_THREADS"] = "1"
     torch.set_num_threads(1)
     if arguments.scene is not None and arguments.capture is not None:
         scene, targets, held_out = transferred(arguments.scene, arguments.capture)

@@ -10,6 +10,7 @@ wall and of the processor (all threads).
 
 import argparse
 import json
+import os
 import time
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
@@ -17,7 +18,6 @@ from typing import Any
 
 import cv2
 import msgspec
-import numba
 import numpy as np
 
 from gsrain_engine.backends import open_renderer
@@ -53,7 +53,7 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--rounds", type=int, default=12)
     chosen = parser.parse_args()
-    numba.set_num_threads(chosen.threads)
+    os.environ["NUMBA_NUM_THREADS"] = str(chosen.threads)
     cv2.setNumThreads(chosen.threads)
     rows: list[dict[str, object]] = []
     with open_renderer(chosen.backend) as renderer:

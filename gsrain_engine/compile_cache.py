@@ -20,8 +20,8 @@ _HERE = Path(__file__).parent
 FRAME_SOURCES = tuple(
     _HERE / each
     for each in (
-        "rain", "render/autodiff", "render/cpu", "water", "scene/ground_water.py", "scene/lens_kernels.py",
-        "scene/water_surface.py",
+        "kernels.py", "rain", "render/autodiff", "render/cpu", "water", "scene/ground_water.py",
+        "scene/lens_kernels.py", "scene/water_surface.py",
     )
 )  # fmt: skip
 """Folders and files with kernels that others call, and with the constants in them."""
@@ -40,8 +40,7 @@ def use_kernel_cache() -> None:
     root = Path(platformdirs.user_cache_dir("gsrain", appauthor=False)) / "numba"
     chosen = os.environ.get("NUMBA_CACHE_DIR")
     if chosen is None or Path(chosen).parent == root:
-        # Kernels that let others run end the process where this layer is set (`kernels.py`): it has its own folder.
-        version = metadata.version("gsrain") + os.environ.get("NUMBA_THREADING_LAYER", "")
+        version = metadata.version("gsrain")
         folder = kernel_cache(root, version, FRAME_SOURCES)
         if not _has_room(folder) and (other := _temporary_root()) is not None:
             folder = kernel_cache(other, version, FRAME_SOURCES)

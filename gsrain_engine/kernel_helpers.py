@@ -88,7 +88,8 @@ def compile_another() -> bool:
     for row in _rows():
         name, types = parse_row(row)
         module, _, function = name.rpartition(".")
-        kernel = getattr(import_module(f"{_OWN}{module}"), function)
+        found = getattr(import_module(f"{_OWN}{module}"), function)
+        kernel = getattr(found, "compiled", found)  # of a `ParallelKernel`
         if kernel._cache.lock(waiting=False):  # a `KernelCache`
             kernel.compile(types)
             kernel._cache.release()

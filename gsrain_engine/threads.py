@@ -7,13 +7,14 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import cache
 from typing import TypeVar
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 
 _VARIABLES = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-"""Environment variables with the number of threads of Numba, OpenMP (torch), OpenBLAS (NumPy) and MKL (torch)."""
+"""Environment variables with the number of threads of kernels, OpenMP (torch), OpenBLAS (NumPy) and MKL (torch)."""
 
 WORKER_NICENESS = 10
 """Priority of workers below the window, as `os.nice` counts: each step is a quarter less of a contested core.
@@ -71,9 +72,37 @@ def results_in_order(
 
 
 def _use_one_thread() -> None:
-    import numba
+    _own.kernels = 1
 
-    numba.set_num_threads(1)
+
+_own = threading.local()
+
+
+def kernel_threads() -> int:
+    """Number of threads that share a kernel which the calling thread calls; `NUMBA_NUM_THREADS` sets it for a process.
+
+    The default is the number of cores.
+    """
+    return getattr(_own, "kernels", None) or _process_threads()
+
+
+@cache
+def _process_threads() -> int:
+    try:
+        return max(1, int(os.environ[_VARIABLES[0]]))
+    except (KeyError, ValueError):
+        return usable_cores()
+
+
+@contextmanager
+def limited_kernels(threads: int) -> Generator[None]:
+    """Kernels that the block calls in this thread use `threads`, where 0 restores the default."""
+    before = getattr(_own, "kernels", None)
+    _own.kernels = threads
+    try:
+        yield
+    finally:
+        _own.kernels = before
 
 
 @contextmanager
@@ -82,14 +111,8 @@ def half_of_cores() -> Generator[None]:
 
     With more threads than free cores each kernel waits for the thread that is served last.
     """
-    import numba  # processes that only start workers, and workers without kernels, take half the time to start
-
-    before = numba.get_num_threads()
-    numba.set_num_threads(max(min(usable_cores() // 2, before), 1))
-    try:
+    with limited_kernels(max(min(usable_cores() // 2, kernel_threads()), 1)):
         yield
-    finally:
-        numba.set_num_threads(before)
 
 
 @contextmanager

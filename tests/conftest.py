@@ -12,6 +12,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 import type_checker
+from gsrain_engine.threads import kernel_threads, limited_kernels
 from repository import REPOSITORY
 
 type_checker.check_first_calls()
@@ -34,7 +35,7 @@ os.environ["XDG_STATE_HOME"] = os.environ["XDG_CONFIG_HOME"] = _OWN.name
 # No test cuts the power: that files reach the disk itself takes their writers' time alone.
 os.fsync = lambda file: None
 
-# Two test processes share two cores: threads of torch and Numba would only wait for each other.
+# Two test processes share two cores: threads of torch would only wait for each other.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("LP_NUM_THREADS", "0")  # Mesa's llvmpipe
 
@@ -123,13 +124,16 @@ def pytest_sessionfinish(session):
 
 
 @pytest.fixture(autouse=True)
+def _one_thread():
+    # Each test process has a core; tests of more threads set their number.
+    with limited_kernels(1 if "PYTEST_XDIST_WORKER" in os.environ else kernel_threads()):
+        yield
+
+
+@pytest.fixture(autouse=True)
 def _begun_anew():
     type_checker.begin_test()
     Path(_OWN.name, "gsrain", "preferences.yaml").unlink(missing_ok=True)  # of the test before
-    if "PYTEST_XDIST_WORKER" in os.environ and (numba := sys.modules.get("numba")):
-        numba.set_num_threads(1)  # each test process has a core; tests of more threads set their number
-    if torch := sys.modules.get("torch"):
-        torch.set_num_threads(1)  # after a kernel of ours it is theirs, where both use the same OpenMP
 
 
 @pytest.fixture

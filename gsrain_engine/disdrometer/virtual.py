@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 from scipy.interpolate import CubicHermiteSpline
 
-from ..kernels import kernel
+from ..kernels import kernel, range_of
 from ..rain.air import DropAir
 from ..rain.drop_field import CLASS_STRIDE, FIRST_OF_CLASS, DropPhases, own_steps
 from ..rain.frame import RainCamera
@@ -117,10 +117,24 @@ def _gusts(
 @kernel(parallel=True)
 @no_type_check
 def _count(
-    seed, count, before, after, size, path, seconds, air_rows, air_classes, air_numbers, phases, rates, reaches, counts
+    portion,
+    seed,
+    count,
+    before,
+    after,
+    size,
+    path,
+    seconds,
+    air_rows,
+    air_classes,
+    air_numbers,
+    phases,
+    rates,
+    reaches,
+    counts,
 ):
     """Count class by class, in an order that balances slow and fast classes over threads."""
-    for j in numba.prange(CLASSES):
+    for j in range_of(portion, CLASSES):
         c = (j * CLASS_STRIDE) % CLASSES
         first = (c * FIRST_OF_CLASS) % CLASSES
         counts[c] = _count_class(

@@ -14,7 +14,7 @@ import numba
 import numpy as np
 from jaxtyping import Float64, Int32, Int64, UInt32
 
-from ..kernels import kernel
+from ..kernels import kernel, range_of
 from .air import CALM, DropAir
 from .drop_motion import DropMotion
 from .pcg_hash import pcg4d_scalar
@@ -226,12 +226,12 @@ def search_drops(
 @kernel(parallel=True)
 @no_type_check
 def _search_drops(
-    seed, count, first_class, wraps, fractions, geometry, margins, far, everywhere, numbers, counts, air_rows,
+    portion, seed, count, first_class, wraps, fractions, geometry, margins, far, everywhere, numbers, counts, air_rows,
     air_classes, air_numbers,
 ):  # fmt: skip
     """Write the numbers that `search_drops` finds, for each chunk of classes, and how many they are to `counts`."""
     turns = numbers.shape[1] // _CLASSES_BY_CHUNK
-    for chunk in numba.prange(CLASSES // _CLASSES_BY_CHUNK):
+    for chunk in range_of(portion, CLASSES // _CLASSES_BY_CHUNK):
         drawn, found = np.empty((5, turns), np.uint32), np.empty(turns, np.bool_)
         n = 0
         for c in range(max(chunk * _CLASSES_BY_CHUNK, first_class), (chunk + 1) * _CLASSES_BY_CHUNK):
@@ -350,9 +350,9 @@ def place_drops(numbers: Int64[np.ndarray, " m"], seed: int, where: DropPhases) 
 
 @kernel(parallel=True)
 @no_type_check
-def _place_drops(numbers, seed, wraps, moved, rows, by_class, air_numbers, classes, placed, velocities):
+def _place_drops(portion, numbers, seed, wraps, moved, rows, by_class, air_numbers, classes, placed, velocities):
     zero, one, chunk_size = np.uint32(0), np.uint32(1), 512
-    for chunk in numba.prange((len(numbers) + chunk_size - 1) // chunk_size):
+    for chunk in range_of(portion, (len(numbers) + chunk_size - 1) // chunk_size):
         for m in range(chunk * chunk_size, min(len(numbers), (chunk + 1) * chunk_size)):
             c, i = (numbers[m] * CLASS_STRIDE) % CLASSES, np.uint32(numbers[m])
             air = by_class[c, 0], by_class[c, 1], by_class[c, 2]

@@ -13,7 +13,7 @@ import numba
 import numpy as np
 from jaxtyping import Float32, Float64
 
-from ..kernels import kernel
+from ..kernels import kernel, range_of
 from ..scene.camera import Camera
 from ..scene.lamps import LitLamps
 from ..scene.lens import PixelRays
@@ -287,9 +287,9 @@ def _sum_slices(ray, lamp, depths, distances, numbers, sums, light):
 
 @kernel(parallel=True, error_model="numpy")
 @no_type_check
-def _fill_blocks(corners, cell_px, intrinsics, lamps, numbers, drawn, sums, distances):
+def _fill_blocks(portion, corners, cell_px, intrinsics, lamps, numbers, drawn, sums, distances):
     """Light of each lamp, over its intensity, up to each slice at the corners of blocks of cells."""
-    for row in numba.prange(corners.shape[0]):
+    for row in range_of(portion, corners.shape[0]):
         depths = np.empty(len(distances), np.float32)
         for column in range(corners.shape[1]):
             ray = _depths(column * BLOCK, row * BLOCK, cell_px, intrinsics, numbers, drawn, distances, depths)
@@ -337,7 +337,7 @@ def _is_smooth(corners, row, column, i, ray, lamp, depths, distances, numbers, s
 
 @kernel(parallel=True, error_model="numpy")
 @no_type_check
-def _fill(table, corners, cell_px, intrinsics, lamps, numbers, drawn, sums, distances):
+def _fill(portion, table, corners, cell_px, intrinsics, lamps, numbers, drawn, sums, distances):
     """Sum the light of all lamps up to each slice along the ray of each corner of the cells.
 
     Where that of a lamp is smooth over a block of cells, it is interpolated between the block's corners.
@@ -345,7 +345,7 @@ def _fill(table, corners, cell_px, intrinsics, lamps, numbers, drawn, sums, dist
     rows, columns, count, _ = table.shape
     focal_px = np.sqrt(intrinsics[0] * intrinsics[1])
     half = np.float32(BLOCK // 2)
-    for block in numba.prange(corners.shape[0] - 1):
+    for block in range_of(portion, corners.shape[0] - 1):
         depths, light = np.empty(count, np.float32), np.empty(count, np.float32)
         unseen, smooth = np.empty(count, np.float32), np.empty((2, 2, count, 3), np.float32)
         rough = np.empty(len(lamps), np.int32)
@@ -529,11 +529,11 @@ def _lamps_near(x, y, intrinsics, lamps, near):
 @kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _light_in_picture(
-    depth_share, weight, image, table, cell_px, intrinsics, lamps, numbers, drawn, sums
+    portion, depth_share, weight, image, table, cell_px, intrinsics, lamps, numbers, drawn, sums
 ):  # fmt: skip
     height, width = weight.shape
     one, far = np.float32(1), np.float32(FAR_M)
-    for row in numba.prange(height):
+    for row in range_of(portion, height):
         light, near = np.empty(3, np.float32), np.empty_like(lamps)
         found = 0
         for column in range(width):
@@ -560,14 +560,14 @@ def _light_in_picture(
 @kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _light_along_rays(
-    depth_share, weight, rays, image, table, cell_px, intrinsics, lamps, numbers, drawn, sums
+    portion, depth_share, weight, rays, image, table, cell_px, intrinsics, lamps, numbers, drawn, sums
 ):  # fmt: skip
     """Write the light of the pixels of a lens, each looked up at its ray's place in the table's pinhole picture."""
     height, width = weight.shape
     one, far, flat = np.float32(1), np.float32(FAR_M), np.float32(0.1)
     right = (np.float32(table.shape[1] - 1)) * cell_px
     bottom = (np.float32(table.shape[0] - 1)) * cell_px
-    for row in numba.prange(height):
+    for row in range_of(portion, height):
         light = np.empty(3, np.float32)
         for column in range(width):
             z = max(rays[row, column, 2], flat)  # flatter rays have the light at the edge
@@ -606,8 +606,8 @@ def light_of_drops(
 
 @kernel(parallel=True, error_model="numpy")
 @no_type_check
-def _light_drops(points, lamps, numbers, drawn, phase, light):
-    for n in numba.prange(len(points)):
+def _light_drops(portion, points, lamps, numbers, drawn, phase, light):
+    for n in range_of(portion, len(points)):
         x, y, z = points[n]
         away = max(np.sqrt(x * x + y * y + z * z), np.float32(1e-6))
         before = optical_depth(x, y, z, numbers, drawn)

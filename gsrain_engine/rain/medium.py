@@ -12,7 +12,7 @@ import numba
 import numpy as np
 from jaxtyping import Float, Float32, Float64
 
-from ..kernels import kernel
+from ..kernels import kernel, range_of
 from ..scene.camera import Camera
 from ..scene.lens import PixelRays
 from .settings import RainSettings
@@ -209,13 +209,13 @@ def _drawn_up_to(depth_m, step_m, drawn):
 
 @kernel(parallel=True, error_model="numpy")
 @no_type_check
-def _transmittances(points, numbers, drawn, kept):
-    for i in numba.prange(len(points)):
+def _transmittances(portion, points, numbers, drawn, kept):
+    for i in range_of(portion, len(points)):
         kept[i] = np.exp(-optical_depth(points[i, 0], points[i, 1], points[i, 2], numbers, drawn))
 
 
 @kernel(parallel=True, error_model="numpy")
 @no_type_check
-def _transmittances_by_distance(points, numbers, drawn, kept):
-    for i in numba.prange(len(points)):
+def _transmittances_by_distance(portion, points, numbers, drawn, kept):
+    for i in range_of(portion, len(points)):
         kept[i] = np.exp(-_optical_depth_by_distance(points[i, 0], points[i, 1], points[i, 2], numbers, drawn))

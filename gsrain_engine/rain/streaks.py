@@ -7,7 +7,7 @@ import numba
 import numpy as np
 from jaxtyping import Float32, Float64
 
-from ..kernels import kernel
+from ..kernels import kernel, range_of
 from ..scene.camera import Camera
 from ..scene.gaussians import Gaussians, sh_from_color
 from ..scene.lens import lens_numbers, view_bounds
@@ -143,12 +143,12 @@ def _streak(diameter_mm, speed, across, depth, moving, stretch, numbers, max_cop
 @kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _fill(
-    positions, diameters, velocities, camera_velocity, moving, world_to_camera, eye, edges, numbers, max_copies, rows,
-    is_drawn,
+    portion, positions, diameters, velocities, camera_velocity, moving, world_to_camera, eye, edges, numbers,
+    max_copies, rows, is_drawn,
 ):  # fmt: skip
     readout, scan_right, scan_down, scan_offset = numbers[7:]
     chunk_size = 256
-    for chunk in numba.prange((len(positions) + chunk_size - 1) // chunk_size):
+    for chunk in range_of(portion, (len(positions) + chunk_size - 1) // chunk_size):
         for m in range(chunk * chunk_size, min(len(positions), (chunk + 1) * chunk_size)):
             diameter_mm = diameters[m]
             vx = velocities[m, 0] - camera_velocity[0]
@@ -221,14 +221,14 @@ def _row_part(x, y, z, vx, vy, vz, part, turn, lens, scan):
 @kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _fill_through_lens(
-    positions, diameters, velocities, camera_velocity, moving, world_to_camera, eye, shift, turn, lens, by_distance,
-    angle, numbers, max_copies, rows, is_drawn,
+    portion, positions, diameters, velocities, camera_velocity, moving, world_to_camera, eye, shift, turn, lens,
+    by_distance, angle, numbers, max_copies, rows, is_drawn,
 ):  # fmt: skip
     """Write streaks as the camera has them at the times of their rows, in the world of its pose in the middle."""
     readout, scan = numbers[7], numbers[8:11]
     r = world_to_camera
     chunk_size = 256
-    for chunk in numba.prange((len(positions) + chunk_size - 1) // chunk_size):
+    for chunk in range_of(portion, (len(positions) + chunk_size - 1) // chunk_size):
         for m in range(chunk * chunk_size, min(len(positions), (chunk + 1) * chunk_size)):
             px, py, pz = positions[m, 0] - eye[0], positions[m, 1] - eye[1], positions[m, 2] - eye[2]
             x = r[0, 0] * px + r[0, 1] * py + r[0, 2] * pz

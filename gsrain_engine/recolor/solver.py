@@ -1,14 +1,13 @@
 """Color solver for fixed geometry: linear least squares in the spherical harmonics, by conjugate gradients."""
 
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, no_type_check
+from typing import Any, NamedTuple, no_type_check
 
-import numba
 import numpy as np
 from jaxtyping import Float32, Int64
 
-from ..kernels import kernel
+from ..kernels import kernel, range_of
 from .weights import LazyWeights, Picture, Plane, SplatColors, StoredWeights
 
 Harmonics = Float32[np.ndarray, "n k 3"]
@@ -68,15 +67,15 @@ def solve_colors(
         add_colors_transposed(remainder, target.indices, target.basis, gathered)
     change = np.zeros_like(remainder)
     direction = np.empty_like(remainder)
-    slope = start = _condition(remainder, diagonal, np.float32(0), direction)
+    slope = start = _summed(_condition, remainder, diagonal, np.float32(0), direction)
     for _ in range(iterations):
         if slope <= 1e-12 * start:
             break
         image = apply_normal(targets, direction)
-        step = np.float32(slope / _curvature(image, direction, prior_weights))
+        step = np.float32(slope / _summed(_curvature, image, direction, prior_weights))
         _advance(change, remainder, direction, image, step)
-        before, slope = slope, _sloped(remainder, diagonal)
-        _condition(remainder, diagonal, np.float32(slope / before), direction)
+        before, slope = slope, _summed(_sloped, remainder, diagonal)
+        _summed(_condition, remainder, diagonal, np.float32(slope / before), direction)
         yield SolverStep(float(np.sqrt(slope / start)), change)
     return change
 
@@ -90,12 +89,17 @@ def apply_normal(targets: Sequence[ColorTarget], change: Harmonics) -> Harmonics
     return result
 
 
-@kernel(parallel=True)
-@no_type_check
 def evaluate_colors(sh: Harmonics, indices: Rows, basis: Basis) -> SplatColors:
     """Sum of harmonics of each splat, without the 0.5 of 3DGS."""
     colors = np.empty((len(indices), 3), np.float32)
-    for n in numba.prange(len(indices)):
+    _evaluate(sh, indices, basis, colors)
+    return colors
+
+
+@kernel(parallel=True)
+@no_type_check
+def _evaluate(portion, sh, indices, basis, colors):
+    for n in range_of(portion, len(indices)):
         row = sh[indices[n]]
         red = green = blue = np.float32(0)
         for k in range(basis.shape[1]):
@@ -104,14 +108,13 @@ def evaluate_colors(sh: Harmonics, indices: Rows, basis: Basis) -> SplatColors:
             green += value * row[k, 1]
             blue += value * row[k, 2]
         colors[n, 0], colors[n, 1], colors[n, 2] = red, green, blue
-    return colors
 
 
 @kernel(parallel=True)
 @no_type_check
-def add_colors_transposed(sh: Harmonics, indices: Rows, basis: Basis, colors: SplatColors) -> None:
+def add_colors_transposed(portion, sh: Harmonics, indices: Rows, basis: Basis, colors: SplatColors) -> None:
     """Transpose of `evaluate_colors`, added in place; parallel over rows, since indices are unique within a view."""
-    for n in numba.prange(len(indices)):
+    for n in range_of(portion, len(indices)):
         row = sh[indices[n]]
         for k in range(basis.shape[1]):
             value = basis[n, k]
@@ -122,13 +125,18 @@ def add_colors_transposed(sh: Harmonics, indices: Rows, basis: Basis, colors: Sp
 _CHUNKS = 64  # sums run over this number of chunks in order: byte-identical for any number of threads
 
 
+def _summed(kernel: Callable[..., None], *arguments: Any) -> float:
+    sums = np.zeros(_CHUNKS)
+    kernel(*arguments, sums)
+    return float(sums.sum())
+
+
 @kernel(parallel=True)
 @no_type_check
-def _condition(remainder, diagonal, turn, direction):
-    """Compute direction = remainder / diagonal + turn * direction; return remainder . (remainder / diagonal)."""
+def _condition(portion, remainder, diagonal, turn, direction, sums):
+    """Compute direction = remainder / diagonal + turn * direction; sum up remainder . (remainder / diagonal)."""
     n, k = remainder.shape[:2]
-    sums = np.zeros(_CHUNKS)
-    for chunk in numba.prange(_CHUNKS):
+    for chunk in range_of(portion, _CHUNKS):
         total = 0.0
         for i in range(n * chunk // _CHUNKS, n * (chunk + 1) // _CHUNKS):
             for j in range(k):
@@ -138,30 +146,26 @@ def _condition(remainder, diagonal, turn, direction):
                     before = turn * direction[i, j, channel] if turn != 0 else np.float32(0)
                     direction[i, j, channel] = conditioned + before
         sums[chunk] = total
-    return sums.sum()
 
 
 @kernel(parallel=True)
 @no_type_check
-def _sloped(remainder, diagonal):
+def _sloped(portion, remainder, diagonal, sums):
     n, k = remainder.shape[:2]
-    sums = np.zeros(_CHUNKS)
-    for chunk in numba.prange(_CHUNKS):
+    for chunk in range_of(portion, _CHUNKS):
         total = 0.0
         for i in range(n * chunk // _CHUNKS, n * (chunk + 1) // _CHUNKS):
             for j in range(k):
                 for channel in range(3):
                     total += remainder[i, j, channel] * remainder[i, j, channel] / diagonal[i, j, 0]
         sums[chunk] = total
-    return sums.sum()
 
 
 @kernel(parallel=True)
 @no_type_check
-def _curvature(image, direction, prior_weights):
+def _curvature(portion, image, direction, prior_weights, sums):
     n, k = image.shape[:2]
-    sums = np.zeros(_CHUNKS)
-    for chunk in numba.prange(_CHUNKS):
+    for chunk in range_of(portion, _CHUNKS):
         total = 0.0
         for i in range(n * chunk // _CHUNKS, n * (chunk + 1) // _CHUNKS):
             own = i if len(prior_weights) > 1 else 0
@@ -170,14 +174,13 @@ def _curvature(image, direction, prior_weights):
                     image[i, j, channel] += prior_weights[own, j, 0] * direction[i, j, channel]
                     total += direction[i, j, channel] * image[i, j, channel]
         sums[chunk] = total
-    return sums.sum()
 
 
 @kernel(parallel=True)
 @no_type_check
-def _advance(change, remainder, direction, image, step):
+def _advance(portion, change, remainder, direction, image, step):
     n, k = change.shape[:2]
-    for i in numba.prange(n):
+    for i in range_of(portion, n):
         for j in range(k):
             for channel in range(3):
                 change[i, j, channel] += step * direction[i, j, channel]

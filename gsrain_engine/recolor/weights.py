@@ -10,7 +10,7 @@ from llvmlite import ir
 from numba.core import types
 from numba.extending import intrinsic
 
-from ..kernels import kernel
+from ..kernels import kernel, range_of
 from ..render.cpu.compositing import ColorOperator
 from ..render.cpu.fast_math import FAST
 from ..render.cpu.tiles import TILE, absorb, alpha_at, columns_of, nothing, walk_column, walk_tiles
@@ -138,9 +138,9 @@ def weights_of(view: ColorOperator, max_bytes: float = np.inf) -> StoredWeights 
 
 @kernel(parallel=True, error_model="numpy", fastmath=FAST)
 @no_type_check
-def _walk(tiles, shapes, data):
+def _walk(portion, tiles, shapes, data):
     """Composite without colors: count each pair's pieces, and write them at `starts` unless those are empty."""
-    walk_tiles(tiles, shapes, shapes[:0, :0], 1, 1, nothing, _weigh_splat, nothing, data)
+    walk_tiles(portion, tiles, shapes, shapes[:0, :0], 1, 1, nothing, _weigh_splat, nothing, data)
 
 
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)
@@ -207,11 +207,11 @@ def _gather_tile(tile, pair_starts, piece_starts, places, weights, canvas, lanes
 
 @kernel(parallel=True, error_model="numpy", fastmath=FAST)
 @no_type_check
-def _normal(pair_starts, splats, piece_starts, places, weights, colors, trust, by_pair):
+def _normal(portion, pair_starts, splats, piece_starts, places, weights, colors, trust, by_pair):
     height, width = trust.shape
     columns = (width + TILE - 1) // TILE
     rows = (len(pair_starts) - 1) // columns
-    for place in numba.prange(len(pair_starts) - 1):
+    for place in range_of(portion, len(pair_starts) - 1):
         tile = place % rows * columns + place // rows
         x0, y0 = (tile % columns) * TILE, (tile // columns) * TILE
         canvas, lanes = np.empty((_PIECES, 3 * LANES), np.float32), np.empty(3 * LANES, np.float32)
@@ -226,11 +226,11 @@ def _normal(pair_starts, splats, piece_starts, places, weights, colors, trust, b
 
 @kernel(parallel=True, error_model="numpy", fastmath=FAST)
 @no_type_check
-def _blend(pair_starts, splats, piece_starts, places, weights, colors, image):
+def _blend(portion, pair_starts, splats, piece_starts, places, weights, colors, image):
     height, width = image.shape[0], image.shape[1]
     columns = (width + TILE - 1) // TILE
     rows = (len(pair_starts) - 1) // columns
-    for place in numba.prange(len(pair_starts) - 1):
+    for place in range_of(portion, len(pair_starts) - 1):
         tile = place % rows * columns + place // rows
         x0, y0 = (tile % columns) * TILE, (tile // columns) * TILE
         canvas = np.empty((_PIECES, 3 * LANES), np.float32)
@@ -245,11 +245,11 @@ def _blend(pair_starts, splats, piece_starts, places, weights, colors, image):
 
 @kernel(parallel=True, error_model="numpy", fastmath=FAST)
 @no_type_check
-def _gather(pair_starts, piece_starts, places, weights, image, by_pair):
+def _gather(portion, pair_starts, piece_starts, places, weights, image, by_pair):
     height, width = image.shape[0], image.shape[1]
     columns = (width + TILE - 1) // TILE
     rows = (len(pair_starts) - 1) // columns
-    for place in numba.prange(len(pair_starts) - 1):
+    for place in range_of(portion, len(pair_starts) - 1):
         tile = place % rows * columns + place // rows
         x0, y0 = (tile % columns) * TILE, (tile // columns) * TILE
         canvas, lanes = np.zeros((_PIECES, 3 * LANES), np.float32), np.empty(3 * LANES, np.float32)
@@ -263,10 +263,10 @@ def _gather(pair_starts, piece_starts, places, weights, image, by_pair):
 
 @kernel(parallel=True, error_model="numpy", fastmath=FAST)
 @no_type_check
-def _squares(pair_starts, piece_starts, places, weights, trust, by_pair):
+def _squares(portion, pair_starts, piece_starts, places, weights, trust, by_pair):
     height, width = trust.shape
     columns = (width + TILE - 1) // TILE
-    for tile in numba.prange(len(pair_starts) - 1):
+    for tile in range_of(portion, len(pair_starts) - 1):
         x0, y0 = (tile % columns) * TILE, (tile // columns) * TILE
         for k in range(pair_starts[tile], pair_starts[tile + 1]):
             total = np.float32(0)

@@ -6,12 +6,11 @@ from functools import cache, lru_cache
 from typing import Any, no_type_check
 
 import lazy_loader
-import numba
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 from scipy.special import ndtri
 
-from ..kernels import kernel
+from ..kernels import kernel, range_of
 from ..rain.pcg_hash import pcg4d_scalar
 from ..scene.camera import Camera
 from ..scene.geometry import LUMINANCE, linear_to_srgb, srgb_to_linear
@@ -146,11 +145,11 @@ def _tone_table(name: str) -> UInt8[np.ndarray, " n"]:
 
 @kernel(parallel=True)
 @no_type_check
-def _expose(image, means, sigmas, normals, tones, seed, moment, camera, made):
+def _expose(portion, image, means, sigmas, normals, tones, seed, moment, camera, made):
     """Add noise to each channel, clip, and apply the tone curve; all tables are in units of the tone table's index."""
     height, width = image.shape[0], image.shape[1]
     top, shift = len(tones) - 1, np.uint32(20)
-    for y in numba.prange(height):
+    for y in range_of(portion, height):
         for x in range(width):
             red, green, blue, _ = pcg4d_scalar(np.uint32(y * width + x), seed, moment, camera)
             for channel in range(3):

@@ -23,7 +23,7 @@ from ..scene.camera_path import CameraPath
 from ..scene.open import with_lod_trees
 from ..scene.progress import Progress
 from ..scene.scene import Scene
-from ..threads import results_in_order
+from ..threads import kernel_threads, results_in_order
 from .cpu.renderer import CpuRenderer
 from .export_settings import DEFAULT_SIZE_PX, ExportSettings, Pass, export_files, export_outputs
 from .images import FrameWriter, open_frame_writer
@@ -183,13 +183,11 @@ def _in_order(drawing: _Drawing, numbers: Sequence[int]) -> Iterator[list[_Drawn
 
 def _thread_count(streams: Sequence[_OutputStream], frames: int) -> int:
     """Return how many frames may be drawn at once."""
-    import numba  # sets the number of threads of this process, of which a sweep's workers have a share
-
     gaussians = max(each.sequence.scene.gaussian_count for each in streams)
     pixels = max(each.sequence.width * each.sequence.height * each.sequence.supersampling**2 for each in streams)
     needed = _BYTES_PER_GAUSSIAN * gaussians + _BYTES_PER_PIXEL * pixels
     room = psutil.virtual_memory().available // (2 * needed + 1)
-    return max(1, min(numba.get_num_threads(), _MAX_THREADS, frames, room))
+    return max(1, min(kernel_threads(), _MAX_THREADS, frames, room))
 
 
 def _open_stream(

@@ -11,15 +11,15 @@ from importlib import metadata
 from pathlib import Path
 from typing import NamedTuple, Protocol, no_type_check, runtime_checkable
 
-import numba
 import numpy as np
 from jaxtyping import Float32, UInt8
 
 from ..choices import RenderMode
-from ..kernels import kernel
+from ..kernels import kernel, range_of
 from ..rain.frame import RainFrame
 from ..scene.camera import Camera
 from ..scene.scene import DrawItem
+from ..threads import kernel_threads
 from ..water.mirror import LensMirror, Mirror
 
 
@@ -88,11 +88,11 @@ class Frame:
 
 @kernel(parallel=True, error_model="numpy")
 @no_type_check
-def _quantize(rgba, background, pixels):
+def _quantize(portion, rgba, background, pixels):
     """Write the 8-bit image over a background: every video frame is converted here."""
     zero, one, top = np.float32(0), np.float32(1), np.float32(255)
     red, green, blue = background[0], background[1], background[2]
-    for row in numba.prange(pixels.shape[0]):
+    for row in range_of(portion, pixels.shape[0]):
         for column in range(pixels.shape[1]):
             color, pixel = rgba[row, column], pixels[row, column]
             behind = one - color[3]
@@ -228,7 +228,7 @@ def describe_machine() -> dict[str, str | int]:
     return {
         "cpu": processor_name(),
         "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1,
-        "threads": numba.get_num_threads(),
+        "threads": kernel_threads(),
         "platform": platform.platform(),
         "python": platform.python_version(),
         **{name: metadata.version(name) for name in ("numpy", "numba", "moderngl")},

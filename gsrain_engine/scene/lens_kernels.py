@@ -5,7 +5,7 @@ from typing import no_type_check
 import numba
 import numpy as np
 
-from ..kernels import kernel
+from ..kernels import kernel, range_of
 
 _NEWTON_STEPS, _BRACKET_STEPS = 12, 60
 _LARGEST_ERROR_PX, _CLOSE_PX = 0.01, 1e-7
@@ -60,8 +60,8 @@ def bend_points(points, lens, places, is_imaged):
 
 @kernel(parallel=True, error_model="numpy")
 @no_type_check
-def unbend_places(places, lens, fx, fy, rays, is_imaged):
-    for chunk in numba.prange((len(places) + _CHUNK - 1) // _CHUNK):
+def unbend_places(portion, places, lens, fx, fy, rays, is_imaged):
+    for chunk in range_of(portion, (len(places) + _CHUNK - 1) // _CHUNK):
         for i in range(chunk * _CHUNK, min(len(places), (chunk + 1) * _CHUNK)):
             shear = 1 / (1 - lens[2] * lens[3])
             p = shear * (places[i, 0] - lens[2] * places[i, 1])

@@ -4,11 +4,10 @@ import math
 from collections.abc import Iterable
 from typing import NamedTuple, no_type_check
 
-import numba
 import numpy as np
 from jaxtyping import Float32, Float64, Int64, UInt32
 
-from ..kernels import kernel
+from ..kernels import kernel, range_of
 from .camera import Camera
 from .gaussians import Gaussians
 
@@ -92,14 +91,14 @@ def _project(
 
 @kernel(parallel=True, error_model="numpy")
 @no_type_check
-def _write_ellipses(members, means, scales, quaternions, opacities, m, view, boxes, ellipses):
+def _write_ellipses(portion, members, means, scales, quaternions, opacities, m, view, boxes, ellipses):
     """Write the cells that each Gaussian covers and its slice, -1 for none; and center, inverse covariance and alpha.
 
     The projection is that of images, in cells.
     """
     fx, fy, cx, cy, width, height = view
     columns, rows = np.ceil(width), np.ceil(height)
-    for n in numba.prange(len(members)):
+    for n in range_of(portion, len(members)):
         i = members[n]
         boxes[n, 4] = -1
         mx, my, mz = np.float64(means[i, 0]), np.float64(means[i, 1]), np.float64(means[i, 2])
@@ -144,11 +143,11 @@ def _write_ellipses(members, means, scales, quaternions, opacities, m, view, box
 
 @kernel(parallel=True, error_model="numpy")
 @no_type_check
-def _find_depths(boxes, ellipses, logarithms, depths_m):
+def _find_depths(portion, boxes, ellipses, logarithms, depths_m):
     """Add up logarithms of transmittances in each cell and slice, and find the first slice that hides the next ones."""
     columns, rows = depths_m.shape
     wide = (columns + _STRIPES - 1) // _STRIPES
-    for stripe in numba.prange(_STRIPES):
+    for stripe in range_of(portion, _STRIPES):
         first, last = stripe * wide, min(columns, (stripe + 1) * wide)
         sums = np.zeros((max(last - first, 0), _SLICES, rows), np.float32)
         for n in range(len(boxes)):

@@ -7,7 +7,7 @@ import numba
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64, UInt32, UInt64
 
-from ..kernels import kernel
+from ..kernels import kernel, range_of
 from .gaussians import Gaussians, scene_cache
 from .scene import robust_bounds
 
@@ -33,7 +33,7 @@ def lod_order(gaussians: Gaussians) -> UInt32[np.ndarray, " n"]:
     number of threads. Memory: 12 bytes per Gaussian.
     """
     # One 64-bit key per Gaussian with its index in the lower half: no two are equal, so any sort is stable.
-    keys = _largest_first(_ranks(_contributions(gaussians.scales, gaussians.opacities)).view(np.uint32))
+    keys = _keys(_contributions(gaussians))
     keys.sort()
     return _sorted_along_curve(gaussians, keys, lod_level_ends(len(keys)))
 
@@ -79,15 +79,15 @@ def lod_growth(gaussians: Gaussians, share: float) -> float:
     """Scale factor at which the first `share` of the Gaussians covers as much as all: 1 or more."""
     if share >= 1 or not len(gaussians):
         return 1.0
-    contributions = _contributions(gaussians.scales, gaussians.opacities).astype(np.float64)
+    contributions = _contributions(gaussians).astype(np.float64)
     kept = float(contributions[: math.ceil(share * len(gaussians))].sum())
     return math.sqrt(float(contributions.sum()) / kept) if kept > 0 else 1.0
 
 
 def lod_sample(gaussians: Gaussians, share: float) -> tuple[Bool[np.ndarray, " n"], float]:
     """Mask of a weighted sample of the Gaussians in any order, as the levels of `lod_order`, and its `lod_growth`."""
-    contributions = _contributions(gaussians.scales, gaussians.opacities)
-    keys = _largest_first(_ranks(contributions).view(np.uint32))
+    contributions = _contributions(gaussians)
+    keys = _keys(contributions)
     keys.sort()
     sampled = np.zeros(len(keys), np.bool_)
     sampled[keys[: math.ceil(share * len(keys))].astype(np.uint32)] = True
@@ -122,7 +122,7 @@ _MEAN_FADE = _FADING * math.log(1 + 1 / _FADING)  # mean share that is faded in,
 @scene_cache(maxsize=64)
 def _areas(gaussians: Gaussians) -> Float32[np.ndarray, "5 n"]:
     """Mean area that each Gaussian hides; that over a number in (0, 1), hashed from its index; and its mean."""
-    areas = np.float32(2 * math.pi / 3) * _contributions(gaussians.scales, gaussians.opacities)
+    areas = np.float32(2 * math.pi / 3) * _contributions(gaussians)
     return np.ascontiguousarray(np.stack([areas, areas / _hashed(len(areas)), *gaussians.means.T]))
 
 
@@ -163,26 +163,34 @@ def _thin(lines, scales, m, by_area, slopes, members, grown):
     return drawn
 
 
-@kernel(parallel=True, error_model="numpy")
-@no_type_check
-def _contributions(scales, opacities):
-    values = np.zeros(len(opacities), np.float32)
-    for n in numba.prange(len(opacities)):
-        a, b, c = np.float64(scales[n, 0]), np.float64(scales[n, 1]), np.float64(scales[n, 2])
-        value = np.float32(opacities[n] * (a * b + b * c + c * a))
-        if 0 < value < np.inf:
-            values[n] = value
+def _contributions(gaussians: Gaussians) -> Float32[np.ndarray, " n"]:
+    values = np.empty(len(gaussians.opacities), np.float32)
+    _write_contributions(gaussians.scales, gaussians.opacities, values)
     return values
 
 
 @kernel(parallel=True, error_model="numpy")
 @no_type_check
-def _ranks(contributions):
+def _write_contributions(portion, scales, opacities, values):
+    for n in range_of(portion, len(opacities)):
+        a, b, c = np.float64(scales[n, 0]), np.float64(scales[n, 1]), np.float64(scales[n, 2])
+        value = np.float32(opacities[n] * (a * b + b * c + c * a))
+        values[n] = value if 0 < value < np.inf else np.float32(0)
+
+
+def _keys(contributions: Float32[np.ndarray, " n"]) -> UInt64[np.ndarray, " n"]:
     """Convert weights to sort keys of a weighted sample: w / -ln(u), u in (0, 1) hashed from the index."""
-    ranks = np.empty(len(contributions), np.float32)
-    for n in numba.prange(len(contributions)):
+    ranks, keys = np.empty(len(contributions), np.float32), np.empty(len(contributions), np.uint64)
+    _write_ranks(contributions, ranks)
+    _write_keys(ranks.view(np.uint32), keys)
+    return keys
+
+
+@kernel(parallel=True, error_model="numpy")
+@no_type_check
+def _write_ranks(portion, contributions, ranks):
+    for n in range_of(portion, len(contributions)):
         ranks[n] = min(contributions[n] / -np.log(_uniform(np.uint64(n))), 3e38)
-    return ranks
 
 
 @kernel()
@@ -208,19 +216,17 @@ def _uniform(n):
 
 @kernel(parallel=True)
 @no_type_check
-def _largest_first(bits):
+def _write_keys(portion, bits, keys):
     """Sort keys of positive float32 numbers, whose bits sort like the numbers themselves."""
-    keys = np.empty(len(bits), np.uint64)
-    for n in numba.prange(len(bits)):
+    for n in range_of(portion, len(bits)):
         keys[n] = (np.uint64(0x7F800000 - bits[n]) << np.uint64(32)) | np.uint64(n)
-    return keys
 
 
 @kernel(parallel=True, error_model="numpy")
 @no_type_check
-def _to_morton_keys(means, low, cells_a_unit, keys):
+def _to_morton_keys(portion, means, low, cells_a_unit, keys):
     """Replace the upper half of each key by the Morton code of the Gaussian whose index is in the lower half."""
-    for k in numba.prange(len(keys)):
+    for k in range_of(portion, len(keys)):
         n = keys[k] & np.uint64(0xFFFFFFFF)
         code = np.uint64(0)
         for axis in range(3):

@@ -8,7 +8,7 @@ import numba
 import numpy as np
 from jaxtyping import Float32, Float64, Int64, UInt32
 
-from ..kernels import kernel
+from ..kernels import kernel, range_of
 from .camera import Camera
 from .gaussians import SH_C0, Gaussians, IdentityKey, scene_cache
 from .lod_occlusion import CELL_PX, OcclusionMap, nothing_hidden, occlusion_map
@@ -245,9 +245,9 @@ def _curve_order(gaussians: Gaussians) -> UInt32[np.ndarray, " n"]:
 
 @kernel(parallel=True, error_model="numpy")
 @no_type_check
-def _hilbert_codes(means, low, cells_a_unit, codes):
+def _hilbert_codes(portion, means, low, cells_a_unit, codes):
     """Write each mean's place on a Hilbert curve of 2^63 cells (transposed form of Skilling 2004)."""
-    for n in numba.prange(len(codes)):
+    for n in range_of(portion, len(codes)):
         x = np.empty(3, np.uint64)
         for axis in range(3):
             cell = (means[n, axis] - low[axis]) * cells_a_unit
@@ -286,15 +286,15 @@ def _hilbert_codes(means, low, cells_a_unit, codes):
 @kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _merge(
-    max_spread, means, scales, quaternions, opacities, sh, order, radii, errors, contrasts, to_means, to_scales,
-    to_quaternions, to_opacities, to_sh, to_radii, to_errors, to_contrasts,
+    portion, max_spread, means, scales, quaternions, opacities, sh, order, radii, errors, contrasts, to_means,
+    to_scales, to_quaternions, to_opacities, to_sh, to_radii, to_errors, to_contrasts,
 ):  # fmt: skip
     """Merge children four by four.
 
     `order` lists them if it is not empty; without `radii`, `errors` and `contrasts` they are Gaussians.
     """
     count = len(order) if len(order) > 0 else len(means)
-    for n in numba.prange(len(to_means)):
+    for n in range_of(portion, len(to_means)):
         first, last = n * FAN_OUT, min(count, (n + 1) * FAN_OUT)
         weights = np.zeros(FAN_OUT)
         members = np.zeros(FAN_OUT, np.int64)
@@ -368,10 +368,10 @@ def _merge(
 
 @kernel(parallel=True, error_model="numpy")
 @no_type_check
-def _average(scales, opacities, sh, order, to_sh):
+def _average(portion, scales, opacities, sh, order, to_sh):
     """Average the harmonics of children four by four, with the weights of `_merge`."""
     count = len(order) if len(order) > 0 else len(sh)
-    for n in numba.prange(len(to_sh)):
+    for n in range_of(portion, len(to_sh)):
         total = 0.0
         for c in range(sh.shape[1]):
             for color in range(3):
@@ -488,13 +488,13 @@ def _write_quaternion(r, q):
 @kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _cut(
-    leaves, means, radii, errors, starts, m, scale, intrinsics, pixel, finest, cell_px, depths_m, levels,
+    portion, leaves, means, radii, errors, starts, m, scale, intrinsics, pixel, finest, cell_px, depths_m, levels,
     found_leaves, found_nodes, counts,
 ):  # fmt: skip
     """Walk down from all roots, in parts with their own places for what they find."""
     roots, parts = starts[-1] - starts[-2], len(counts)
     size = (roots + parts - 1) // parts
-    for place in numba.prange(parts):
+    for place in range_of(portion, parts):
         # Two threads get every other part, since roots that are in view are neighbors.
         part = place % (parts // 2) * 2 + place // (parts // 2)
         counts[part, 0], counts[part, 1] = _walk(
@@ -598,9 +598,9 @@ def _is_hidden(u, v, nearest_m, reach, depths_m, levels):
 
 @kernel(parallel=True)
 @no_type_check
-def _gather(found_leaves, found_nodes, counts, ends, leaves, nodes):
+def _gather(portion, found_leaves, found_nodes, counts, ends, leaves, nodes):
     """Copy what each part has found to its place in the result."""
-    for part in numba.prange(len(counts)):
+    for part in range_of(portion, len(counts)):
         to = ends[part, 0] - counts[part, 0]
         for j in range(counts[part, 0]):
             leaves[to + j] = found_leaves[part, j]

@@ -7,11 +7,10 @@ from typing import Any, no_type_check
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64
-from numba import prange
 from scipy.ndimage import minimum_filter
 from scipy.spatial import KDTree
 
-from ..kernels import kernel
+from ..kernels import kernel, range_of
 from ..render.gsplat_input import uploaded
 from ..scene.camera import Camera
 from .parameters import SplatParameters, Tensor, indices_of
@@ -171,10 +170,10 @@ def _nearest_surfaces(depth: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, 
 
 @kernel(parallel=True, error_model="numpy")
 @no_type_check
-def _mark_free(means, poses, lenses, limits, found):
+def _mark_free(portion, means, poses, lenses, limits, found):
     """Mark each of `means` (n, 3) that is nearer to a camera than the limit of its cell."""
     views, rows, columns = limits.shape
-    for i in prange(len(means)):
+    for i in range_of(portion, len(means)):
         for v in range(views):
             pose, lens = poses[v], lenses[v]
             x = pose[0, 0] * means[i, 0] + pose[0, 1] * means[i, 1] + pose[0, 2] * means[i, 2] + pose[0, 3]

@@ -6,9 +6,8 @@ from typing import Any, NamedTuple, no_type_check
 
 import numpy as np
 from jaxtyping import Float32, Float64, Shaped
-from numba import prange
 
-from ..kernels import kernel
+from ..kernels import kernel, range_of
 from ..render.gsplat_input import uploaded
 from ..scene.gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
 
@@ -206,7 +205,7 @@ _CHUNK = 4096
 
 @kernel(parallel=True, error_model="numpy")
 @no_type_check
-def adam_step(values, gradients, first, second, rows, rate, first_share, second_share):
+def adam_step(portion, values, gradients, first, second, rows, rate, first_share, second_share):
     """Update `values` (n, c) and their moments in place; rows are independent.
 
     `gradients` are those of the loss with respect to `values`, `first` and `second` the running means of them and of
@@ -219,7 +218,7 @@ def adam_step(values, gradients, first, second, rows, rate, first_share, second_
     one = kind(1)
     pace, spread = kind(rate / first_share), kind(1 / np.sqrt(second_share))
     everybody = len(rows) == 0
-    for chunk in prange((count + _CHUNK - 1) // _CHUNK):
+    for chunk in range_of(portion, (count + _CHUNK - 1) // _CHUNK):
         for i in range(chunk * _CHUNK, min((chunk + 1) * _CHUNK, count)):
             if everybody or rows[i]:
                 for c in range(channels):

@@ -13,7 +13,7 @@ import numba
 import numpy as np
 from jaxtyping import Float32, Float64
 
-from ..kernels import kernel
+from ..kernels import kernel, range_of
 from ..rain.settings import RainSettings
 from ..scene.camera import Camera
 from ..scene.ground_water import FILM_SLOPE, STANDING_SLOPE
@@ -220,7 +220,8 @@ def make_mirror(
         tables[1] = facet_rows(slopes[1])
     fx, fy, _, cy = intrinsics.astype(np.float32)
     _blur_columns(np.ascontiguousarray(image), sines, shares, tables, fy, cy, columns)
-    _fill_films(sines, columns)
+    _fill_rows(sines, columns)
+    _fill_columns(columns)
     _blur_rows(columns, sines, shares, slopes.astype(np.float32), fx, light)
     if lamps is not None and len(lamps.positions_m):
         rows = _lamp_rows(lamps.brightest(camera.position))
@@ -245,11 +246,11 @@ def make_mirror(
 
 @kernel(parallel=True, error_model="numpy")
 @no_type_check
-def _geometry(depth, turn, intrinsics, above_m, sines, distances, shares):
+def _geometry(portion, depth, turn, intrinsics, above_m, sines, distances, shares):
     """Write each pixel's sine of the angle to the ground, distance to it, and the share of the way beyond it."""
     height, width = depth.shape
     fx, fy, cx, cy = intrinsics
-    for row in numba.prange(height):
+    for row in range_of(portion, height):
         for column in range(width):
             x, y = (column + 0.5 - cx) / fx, (row + 0.5 - cy) / fy
             length = np.sqrt(x * x + y * y + 1)
@@ -266,7 +267,7 @@ def _geometry(depth, turn, intrinsics, above_m, sines, distances, shares):
 
 @kernel(parallel=True, error_model="numpy", fastmath={"reassoc", "contract", "arcp", "nsz"})
 @no_type_check
-def _blur_columns(image, sines, shares, tables, fy, cy, light):
+def _blur_columns(portion, image, sines, shares, tables, fy, cy, light):
     """Integrate over facets that tilt along the line of sight: over the rows of the image above and below a pixel.
 
     A facet of tilt d reflects what is 2 d fy k rows away, k being the share of the way beyond the ground of what is
@@ -274,7 +275,7 @@ def _blur_columns(image, sines, shares, tables, fy, cy, light):
     """
     height, width = sines.shape
     one, last_angle = np.float32(1), np.float32(tables.shape[1] - 1)
-    for column in numba.prange(width):
+    for column in range_of(portion, width):
         reds, greens, blues = np.empty(height, np.float32), np.empty(height, np.float32), np.empty(height, np.float32)
         ways, places = np.empty(height, np.float32), np.empty(height, np.float32)
         for row in range(height):
@@ -322,17 +323,25 @@ def _blur_columns(image, sines, shares, tables, fy, cy, light):
 
 @kernel(parallel=True, error_model="numpy")
 @no_type_check
-def _fill_films(sines, light):
-    """Interpolate the light of films in the rows and columns that `_blur_columns` leaves out."""
+def _fill_rows(portion, sines, light):
+    """Interpolate the light of films in the rows that `_blur_columns` leaves out, in every other column."""
     height, width = sines.shape
     half = np.float32(0.5)
-    for place in numba.prange((width + 1) // 2):
+    for place in range_of(portion, (width + 1) // 2):
         column = 2 * place
         for row in range(1, height - 1, 2):
             if sines[row - 1, column] > _MIN_SINE:
                 for c in range(3):
                     light[row, column, 0, c] = half * (light[row - 1, column, 0, c] + light[row + 1, column, 0, c])
-    for row in numba.prange(height):
+
+
+@kernel(parallel=True)
+@no_type_check
+def _fill_columns(portion, light):
+    """Interpolate the light of films in the columns that `_blur_columns` leaves out."""
+    height, width = light.shape[:2]
+    half = np.float32(0.5)
+    for row in range_of(portion, height):
         for column in range(1, width, 2):
             other = column + 1 if column + 1 < width else column - 1
             for c in range(3):
@@ -341,10 +350,10 @@ def _fill_films(sines, light):
 
 @kernel(parallel=True, error_model="numpy")
 @no_type_check
-def _blur_rows(light, sines, shares, slopes, fx, blurred):
+def _blur_rows(portion, light, sines, shares, slopes, fx, blurred):
     """Blur by facets that tilt across the line of sight, which turn a ray by 2 d times the sine of its angle."""
     height, width = sines.shape
-    for row in numba.prange(height):
+    for row in range_of(portion, height):
         for column in range(width):
             at = np.sqrt(min(max(np.float32(0), sines[row, column]), np.float32(1))) * np.float32(slopes.shape[1] - 1)
             for water in range(2):
@@ -366,12 +375,12 @@ def _blur_rows(light, sines, shares, slopes, fx, blurred):
 
 @kernel(parallel=True, error_model="numpy")
 @no_type_check
-def _weigh(film, light, first_row, across, along, image):
+def _weigh(portion, film, light, first_row, across, along, image):
     """Sum of the light of films and standing water, linear between pixels, times their visible shares."""
     height, width = film.shape[:2]
     rows, columns = light.shape[:2]
     one = np.float32(1)
-    for row in numba.prange(height):
+    for row in range_of(portion, height):
         y = along * (np.float32(row) + np.float32(0.5)) - np.float32(0.5 + first_row)
         y = min(max(np.float32(0), y), np.float32(rows - 1))
         top = min(int(y), max(rows - 2, 0))
@@ -426,6 +435,7 @@ def _light_at(light, x, y, water, share):
 @kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _weigh_rings(
+    portion,
     film,
     light,
     first_row,
@@ -454,7 +464,7 @@ def _weigh_rings(
     above, q = np.float32(above_m), np.float32(flooded)
     far = max(on_films.distance_m, on_standing.distance_m)
     steep = above / np.sqrt(np.float32(far * far) + above * above) if far > 0 else np.float32(2)
-    for row in numba.prange(height):
+    for row in range_of(portion, height):
         y = scale_y * (np.float32(row) + half) - np.float32(0.5 + first_row)
         near_row = min(max(int(y + half), 0), rows - 1)
         v = (y + half - cy) / fy
@@ -524,7 +534,9 @@ def _lamp_rows(lamps: LitLamps) -> Float64[np.ndarray, "n 11"]:
 
 @kernel(parallel=True, error_model="numpy")
 @no_type_check
-def _add_lamps(light, sines, distances, depth, to_world, intrinsics, lamps, slopes, ground_m, extinction_per_m):
+def _add_lamps(
+    portion, light, sines, distances, depth, to_world, intrinsics, lamps, slopes, ground_m, extinction_per_m
+):
     """Add the light of lamps that rough water reflects: F D G / (4 cos v) times the irradiance.
 
     The model of Cook and Torrance (1982) with Gaussian slopes (Beckmann 1963). The lamp is a point, so that no image of
@@ -532,7 +544,7 @@ def _add_lamps(light, sines, distances, depth, to_world, intrinsics, lamps, slop
     """
     height, width = sines.shape
     fx, fy, cx, cy = intrinsics
-    for row in numba.prange(height):
+    for row in range_of(portion, height):
         for column in range(width):
             sine = np.float64(sines[row, column])
             if sine <= _MIN_SINE:

@@ -10,11 +10,10 @@ from functools import cache, lru_cache
 from typing import no_type_check
 
 import cv2
-import numba
 import numpy as np
 from jaxtyping import Float32, Float64, Int64, UInt8
 
-from ..kernels import kernel
+from ..kernels import kernel, range_of
 from ..rain.pcg_hash import pcg4d_scalar
 from ..scene.camera import Camera
 from ..scene.geometry import srgb_to_linear
@@ -274,8 +273,8 @@ def _pyramid(picture: UInt8[np.ndarray, "h w 3"]) -> tuple[Float32[np.ndarray, "
 
 @kernel(parallel=True)
 @no_type_check
-def _shrink(image, linear, shrunk):
-    for row in numba.prange(shrunk.shape[0]):
+def _shrink(portion, image, linear, shrunk):
+    for row in range_of(portion, shrunk.shape[0]):
         for column in range(shrunk.shape[1]):
             red = green = blue = np.int64(0)
             for k in range(9):
@@ -439,10 +438,24 @@ def _look_up(levels, starts, level, x, y, found):
 @kernel(parallel=True, error_model="numpy", fastmath=_FAST)
 @no_type_check
 def _draw_drops(
-    layer, drops, boxes, outlines, row_starts, members, view, axes, places, source, levels, starts, sphere, depth
+    portion,
+    layer,
+    drops,
+    boxes,
+    outlines,
+    row_starts,
+    members,
+    view,
+    axes,
+    places,
+    source,
+    levels,
+    starts,
+    sphere,
+    depth,
 ):
     fx, fy, cx, cy, cell, margin = view
-    for row in numba.prange(layer.shape[0]):
+    for row in range_of(portion, layer.shape[0]):
         color = np.empty(3)
         y = ((row + 0.5 - margin) * cell - cy) / fy
         for at in range(row_starts[row], row_starts[row + 1]):
@@ -550,8 +563,8 @@ def _fill_places(view, axes, places):
 
 @kernel(parallel=True, error_model="numpy", fastmath=_FAST)
 @no_type_check
-def _draw_dirt(places, seed, is_wiped, coverage):
-    for row in numba.prange(coverage.shape[0]):
+def _draw_dirt(portion, places, seed, is_wiped, coverage):
+    for row in range_of(portion, coverage.shape[0]):
         coarse, fine = np.full(6, np.inf), np.full(6, np.inf)
         for column in range(coverage.shape[1]):
             u, v = np.float64(places[0, row, column]), np.float64(places[1, row, column])
@@ -566,11 +579,11 @@ def _draw_dirt(places, seed, is_wiped, coverage):
 
 @kernel(parallel=True, error_model="numpy", fastmath=_FAST)
 @no_type_check
-def _sample_film(places, low, film, film_cell, depth):
+def _sample_film(portion, places, low, film, film_cell, depth):
     """Interpolate the film's depth; none outside of it."""
     low_u, low_v, points_m = np.float32(low[0]), np.float32(low[1]), np.float32(1 / film_cell)
     wide, tall, one = np.float32(film.shape[1] - 1), np.float32(film.shape[0] - 1), np.float32(1)
-    for row in numba.prange(depth.shape[0]):
+    for row in range_of(portion, depth.shape[0]):
         for column in range(depth.shape[1]):
             x, y = (places[0, row, column] - low_u) * points_m, (places[1, row, column] - low_v) * points_m
             found = np.float32(0)
@@ -585,7 +598,7 @@ def _sample_film(places, low, film, film_cell, depth):
 
 @kernel(parallel=True, error_model="numpy", fastmath=_FAST)
 @no_type_check
-def _draw_veil(layer, places, wet, dirt, amount, blade, margin, blurred, mean):
+def _draw_veil(portion, layer, places, wet, dirt, amount, blade, margin, blurred, mean):
     """Add film and dirt, which spread light, and the blade, which hides it."""
     tall, wide = blurred.shape[0], blurred.shape[1]
     down = np.float32(tall / (layer.shape[0] - 2 * margin))
@@ -597,7 +610,7 @@ def _draw_veil(layer, places, wet, dirt, amount, blade, margin, blurred, mean):
     red, green, blue = np.float32(mean[0]), np.float32(mean[1]), np.float32(mean[2])
     near = np.float32(0.7)
     far_red, far_green, far_blue = (one - near) * red, (one - near) * green, (one - near) * blue
-    for row in numba.prange(layer.shape[0]):
+    for row in range_of(portion, layer.shape[0]):
         j = min(max(int((np.float32(row - margin) + half) * down), 0), tall - 1)
         covers = np.zeros(layer.shape[1], np.float32)
         if blade >= 0.0:
@@ -628,22 +641,34 @@ def _draw_veil(layer, places, wet, dirt, amount, blade, margin, blurred, mean):
             cell[3] = one - (one - cell[3]) * open_share * (one - spread) * clean
 
 
-@kernel(parallel=True, error_model="numpy", fastmath=_FAST)
-@no_type_check
-def _blurred(layer, radii):
+def _blurred(layer: Float32[np.ndarray, "h w 4"], radii: Float64[np.ndarray, " h"]) -> Float32[np.ndarray, "h w 4"]:
     """Average over disks, with the radius of each row in cells; not at the sides of the layer, a radius wide."""
-    rows, width = layer.shape[0], 4 * layer.shape[1]
-    sums = np.empty((rows, width + 4))  # of the cells to the left, four channels each
+    sums = np.empty((layer.shape[0], 4 * (layer.shape[1] + 1)))  # of the cells to the left, four channels each
     made = np.zeros(layer.shape, np.float32)
-    for row in numba.prange(rows):
+    _sum_rows(layer, sums)
+    _blur(layer, sums, radii, made)
+    return made
+
+
+@kernel(parallel=True)
+@no_type_check
+def _sum_rows(portion, layer, sums):
+    width = 4 * layer.shape[1]
+    for row in range_of(portion, len(layer)):
         total = np.zeros(4)
         for column in range(layer.shape[1]):
             for channel in range(4):
                 sums[row, 4 * column + channel] = total[channel]
                 total[channel] += layer[row, column, channel]
         sums[row, width:] = total
+
+
+@kernel(parallel=True, error_model="numpy", fastmath=_FAST)
+@no_type_check
+def _blur(portion, layer, sums, radii, made):
+    rows, width = layer.shape[0], 4 * layer.shape[1]
     flat, flat_made = layer.reshape(rows, width), made.reshape(rows, width)
-    for row in numba.prange(rows):
+    for row in range_of(portion, rows):
         radius = max(0.5, radii[row])
         reach = int(np.ceil(radius))
         area = 0.0
@@ -668,7 +693,6 @@ def _blurred(layer, radii):
                     flat[other, first + 4 * j : last + 4 * j], right, sums[other, first + 4 * i : last + 4 * i],
                     flat[other, first + 4 * i : last + 4 * i], left, weight,
                 )  # fmt: skip
-    return made
 
 
 @kernel(error_model="numpy", fastmath=_FAST)
@@ -683,11 +707,11 @@ _BANDS = 8  # between rows of cells, which a thread composites one after the oth
 
 @kernel(parallel=True, error_model="numpy", fastmath=_FAST)
 @no_type_check
-def _composite(image, layer, cell, margin, made):
+def _composite(portion, image, layer, cell, margin, made):
     """I (1 - c) + L, with the layer interpolated between the centers of its cells; cells have 1, 2, 4... pixels."""
     height, values = image.shape[0], 3 * image.shape[1]
     bands = layer.shape[0] - 2 * margin + 1
-    for part in numba.prange((bands + _BANDS - 1) // _BANDS):
+    for part in range_of(portion, (bands + _BANDS - 1) // _BANDS):
         # Light, and the share of what is behind the glass, of each value of a row of pixels in the centers of a row of
         # cells, of the next one, and their differences.
         upper, upper_share = np.empty(values, np.float32), np.empty(values, np.float32)

@@ -9,12 +9,11 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import NamedTuple, no_type_check
 
-import numba
 import numpy as np
 from jaxtyping import Float32, Float64, Int32
 from scipy import special
 
-from ..kernels import kernel
+from ..kernels import kernel, range_of
 from ..scene.ground_water import GroundWater
 from .films import WaterDepth
 from .impacts import CELL_M, WATER_KG_M3, GroundImpacts, LandedDrops, cells_around
@@ -261,8 +260,8 @@ def _field_of(
 
 @kernel(parallel=True)
 @no_type_check
-def _fill_slopes(table, low, part, strength, slopes):
-    for n in numba.prange(len(low)):
+def _fill_slopes(portion, table, low, part, strength, slopes):
+    for n in range_of(portion, len(low)):
         first, second, share, factor = table[low[n]], table[low[n] + 1], part[n], strength[n]
         for k in range(slopes.shape[1]):
             slopes[n, k] = ((np.float32(1) - share) * first[k] + share * second[k]) * factor

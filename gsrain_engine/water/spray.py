@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float64, Int64
 from scipy.special import ndtr, ndtri
 
-from ..kernels import kernel
+from ..kernels import kernel, range_of
 from ..rain.air import GRAVITY_M_S2, profile
 from ..rain.frame import RainFrame
 from ..rain.lamp_light import light_of_drops
@@ -473,9 +473,9 @@ def depths_along(
 
 @kernel(parallel=True, error_model="numpy")
 @no_type_check
-def _depths_along(centers, sigmas, areas, directions, step_m, depths):
+def _depths_along(portion, centers, sigmas, areas, directions, step_m, depths):
     """Add each parcel's integral over the intervals of a ray: a Gaussian across times that along it."""
-    for i in numba.prange(len(directions)):
+    for i in range_of(portion, len(directions)):
         dx, dy, dz = directions[i]
         for n in range(len(sigmas)):
             x, y, z = centers[n]

@@ -7,11 +7,10 @@ what is dark. All directions are those of lines through the wiper's pivot, as th
 from functools import cache, lru_cache
 from typing import no_type_check
 
-import numba
 import numpy as np
 from jaxtyping import Float32, Int32, UInt8
 
-from ..kernels import kernel
+from ..kernels import kernel, range_of
 from ..scene.camera import Camera
 from ..scene.geometry import srgb_to_linear
 from .pane import Pane
@@ -111,10 +110,10 @@ def _light_of_lamps() -> Float32[np.ndarray, "256 2"]:
 
 @kernel(parallel=True, error_model="numpy")
 @no_type_check
-def _find_lamps(image, tables, lamps, counts):
+def _find_lamps(portion, image, tables, lamps, counts):
     """Write the mean light of lamps of each pixel of the glare, and the number of those with any in each row."""
     side, values = SHRINK, 3 * SHRINK * lamps.shape[1]
-    for row in numba.prange(lamps.shape[0]):
+    for row in range_of(portion, lamps.shape[0]):
         lamps[row] = 0
         counts[row] = 0
         # Three words for a pixel of the glare, all 0 where no value is above `_FROM`: whole vectors are compared.
@@ -235,8 +234,8 @@ def _fill_taps(rows, columns, pivot, step, taps):
 
 @kernel(parallel=True, error_model="numpy")
 @no_type_check
-def _smear(light, taps, weights, made):
-    for pixel in numba.prange(len(taps)):
+def _smear(portion, light, taps, weights, made):
+    for pixel in range_of(portion, len(taps)):
         red = green = blue = np.float32(0)
         for k in range(2 * _TAPS + 1):
             weight, at = weights[k], np.uint32(taps[pixel, k])
@@ -248,9 +247,9 @@ def _smear(light, taps, weights, made):
 
 @kernel(parallel=True, error_model="numpy")
 @no_type_check
-def _add_streaks(layer, streaks, places, cell, margin, low, film_share, film_cell):
+def _add_streaks(portion, layer, streaks, places, cell, margin, low, film_share, film_cell):
     last_row, last_column = streaks.shape[0] - 1, streaks.shape[1] - 1
-    for row in numba.prange(layer.shape[0]):
+    for row in range_of(portion, layer.shape[0]):
         at_y = min(max(0.0, (row + 0.5 - margin) * cell / SHRINK - 0.5), last_row - 1e-3)
         i = int(at_y)
         below = np.float32(at_y - i)

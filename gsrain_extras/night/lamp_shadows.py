@@ -5,12 +5,11 @@ from dataclasses import dataclass
 from math import ceil, exp, sqrt
 from typing import no_type_check
 
-import numba
 import numpy as np
 from jaxtyping import Float, Float32, Float64
 from scipy import ndimage
 
-from gsrain_engine.kernels import kernel
+from gsrain_engine.kernels import kernel, range_of
 
 _MAX_CELLS = 3_000_000
 _WITHIN = (0.004, 0.996)  # quantiles of the places that bound the grid, along each axis
@@ -54,14 +53,18 @@ class OpacityGrid:
         self, lamp_m: Float64[np.ndarray, "3"], points: Float[np.ndarray, "n 3"]
     ) -> Float32[np.ndarray, " n"]:
         """Share of a lamp's light that surfaces on its rays to points leave, 0..1."""
-        return _toward(self.per_m, self.corner_m, self.cell_m, lamp_m, points.astype(np.float64))
+        left = np.empty(len(points), np.float32)
+        _toward(self.per_m, self.corner_m, self.cell_m, lamp_m, points.astype(np.float64), left)
+        return left
 
     def openness(
         self, points: Float[np.ndarray, "n 3"], directions: Sequence[Sequence[float]]
     ) -> Float32[np.ndarray, "n d"]:
         """Share of light from unit directions far away that reaches points, 0..1."""
         ways = np.asarray(directions, np.float64)
-        return _from_afar(self.per_m, self.corner_m, self.cell_m, points.astype(np.float64), ways)
+        left = np.empty((len(points), len(ways)), np.float32)
+        _from_afar(self.per_m, self.corner_m, self.cell_m, points.astype(np.float64), ways, left)
+        return left
 
     def sampled(self, points: Float[np.ndarray, "n 3"]) -> Float32[np.ndarray, " n"]:
         """Extinction (1/m) at points."""
@@ -71,28 +74,24 @@ class OpacityGrid:
 
 @kernel(parallel=True, error_model="numpy")
 @no_type_check
-def _toward(per_m, corner, cell, lamp, points):
-    left = np.empty(len(points), np.float32)
+def _toward(portion, per_m, corner, cell, lamp, points, left):
     body = max(_LAMP_M, _LAMP_CELLS * cell)
-    for i in numba.prange(len(points)):
+    for i in range_of(portion, len(points)):
         x, y, z = lamp[0] - points[i, 0], lamp[1] - points[i, 1], lamp[2] - points[i, 2]
         length = sqrt(x * x + y * y + z * z)
         if not length > 0:
             left[i] = 1
             continue
         left[i] = exp(-_depth(per_m, corner, cell, points[i], x / length, y / length, z / length, length - body))
-    return left
 
 
 @kernel(parallel=True, error_model="numpy")
 @no_type_check
-def _from_afar(per_m, corner, cell, points, ways):
-    left = np.empty((len(points), len(ways)), np.float32)
+def _from_afar(portion, per_m, corner, cell, points, ways, left):
     far = cell * sqrt(per_m.shape[0] ** 2 + per_m.shape[1] ** 2 + per_m.shape[2] ** 2)
-    for i in numba.prange(len(points)):
+    for i in range_of(portion, len(points)):
         for k in range(len(ways)):
             left[i, k] = exp(-_depth(per_m, corner, cell, points[i], ways[k, 0], ways[k, 1], ways[k, 2], far))
-    return left
 
 
 @kernel(error_model="numpy")

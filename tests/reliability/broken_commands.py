@@ -27,7 +27,6 @@ from importlib import import_module
 from pathlib import Path
 
 os.environ["NUMBA_NUM_THREADS"] = os.environ["OMP_NUM_THREADS"] = "1"
-os.environ["NUMBA_THREADING_LAYER"] = "workqueue"  # OpenMP does not live on in a forked process
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE.parent), str(HERE.parents[1])]
 

@@ -16,7 +16,7 @@ from gsrain_engine.editor.drawing.picture_thread import PictureThread
 from gsrain_engine.editor.edits.members import replace_scene
 from gsrain_engine.editor.viewport.options import LEVELS
 from gsrain_engine.editor.viewport_state import PendingScene
-from gsrain_engine.kernels import NOGIL, kernel
+from gsrain_engine.kernels import kernel
 from gsrain_engine.rain.settings import load_preset
 from gsrain_engine.render.opengl.context import NoOpenGLError, open_context
 from live_frames import SIZE, darkened, draw_frame
@@ -292,6 +292,6 @@ def test_kernels_let_the_interface_go_on():
     def double(x):
         return 2 * x
 
-    assert double.targetoptions["nogil"] == NOGIL
+    assert double.targetoptions["nogil"]
     stored = [path for path in (REPOSITORY / "gsrain_engine").rglob("*.py") if "cache=True" in path.read_text()]
     assert stored == []  # by `kernel` alone

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import av
 import msgspec
-import numba
 import numpy as np
 import OpenEXR
 import pytest
@@ -30,6 +29,7 @@ from gsrain_engine.render.sequence import FrameSequence, find_rig_cameras, rende
 from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.rig import rig_camera_path
 from gsrain_engine.scene.scene import Scene
+from gsrain_engine.threads import limited_kernels
 from small_scene import small_scene
 
 SIZE = (96, 64)
@@ -241,13 +241,11 @@ def test_a_recording_that_is_left_can_be_played(scene, rainfall, path, tmp_path)
 
 
 @pytest.mark.parametrize("threads", [1, 3])
-def test_frames_through_wiped_glass_are_those_drawn_alone_on_any_number_of_threads(
-    scene, path, tmp_path, monkeypatch, threads
-):
-    monkeypatch.setattr(numba, "get_num_threads", lambda: threads)
+def test_frames_through_wiped_glass_are_those_drawn_alone_on_any_number_of_threads(scene, path, tmp_path, threads):
     rain = RainSimulation.start(RainSettings(intensity_mm_h=50.0, glass="windshield", wiper="high", glass_wet_s=4.0))
     recording = ExportSettings(output=str(tmp_path / "frames"), size_px=SIZE, fps=5.0, last_s=1.0)
-    recorded(recording, scene, rain, path)
+    with limited_kernels(threads):
+        recorded(recording, scene, rain, path)
     found = [pixels(tmp_path / "frames" / f"{number:06d}.png") for number in range(5)]
     for number in (1, 3):
         alone = ExportSettings(output=str(tmp_path / f"alone{number}"), size_px=SIZE, fps=5.0, last_s=1.0)

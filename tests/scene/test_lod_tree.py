@@ -6,7 +6,6 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
-import numba
 import numpy as np
 import pytest
 
@@ -36,6 +35,7 @@ from gsrain_engine.scene.lod_tree import (
 )
 from gsrain_engine.scene.open import load_drawable_scene, sorted_with_trees, with_lod_trees
 from gsrain_engine.scene.scene import DrawItem, Layer, Scene
+from gsrain_engine.threads import limited_kernels
 from render.cpu.raster_scenes import psnr_db
 
 from .formats.sample_files import sample_gaussians
@@ -131,14 +131,11 @@ def test_balls_hold_what_is_below_and_errors_grow_upwards() -> None:
 
 
 def test_any_number_of_threads_builds_the_same_tree() -> None:
-    g, before = sample_gaussians(4000), numba.get_num_threads()
+    g = sample_gaussians(4000)
     trees: list[LodTree] = []
-    try:
-        for threads in (1, numba.config.NUMBA_NUM_THREADS):
-            numba.set_num_threads(threads)
+    for threads in (1, 3):
+        with limited_kernels(threads):
             trees.append(build_lod_tree(g))
-    finally:
-        numba.set_num_threads(before)
     one, other = ((*each.nodes.arrays, each.radii, each.errors, each.leaves) for each in trees)
     assert all(a.tobytes() == b.tobytes() for a, b in zip(one, other, strict=True))
 
@@ -240,13 +237,9 @@ def test_what_surfaces_hide_is_left_out() -> None:
 
 @pytest.mark.parametrize("threads", [1, 2])
 def test_depths_of_occlusion_are_those_of_surfaces(threads: int) -> None:
-    near, before = thick_wall(), numba.get_num_threads()
-    tree = build_lod_tree(near)
-    try:
-        numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
+    tree = build_lod_tree(thick_wall())
+    with limited_kernels(threads):
         hidden = occlusion_by_trees([(tree, np.diag([0.5, 0.5, 1.0, 1.0]))], camera())
-    finally:
-        numba.set_num_threads(before)
     cells = hidden.cells
     assert cells.shape == (48, 32) and hidden.depths_m[-1] == np.inf
     inside = cells[14:34, 6:26]

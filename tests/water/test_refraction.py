@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import msgspec
-import numba
 import numpy as np
 import pytest
 
@@ -18,6 +17,7 @@ from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.geometry import linear_to_srgb, srgb_to_linear
 from gsrain_engine.scene.sensor import PINHOLE, ThinLens
+from gsrain_engine.threads import limited_kernels
 from gsrain_engine.water import refraction
 from gsrain_engine.water.glass_drops import RADIUS, SHAPE
 from gsrain_engine.water.pane import pane_of
@@ -213,10 +213,9 @@ def images_of(rain, numbers, **kinds):
 
 def test_same_seed_same_bytes_and_any_frame_alone_on_any_number_of_threads():
     together = images_of(RAIN, [0, 3, 1])
-    threads = numba.get_num_threads()
-    numba.set_num_threads(1)
-    assert together[2].tobytes() == images_of(RAIN, [1])[0].tobytes()
-    numba.set_num_threads(threads)
+    for threads in (1, 3):
+        with limited_kernels(threads):
+            assert together[2].tobytes() == images_of(RAIN, [1])[0].tobytes()
     assert together[1].tobytes() == images_of(RAIN, [3])[0].tobytes()
     other = images_of(msgspec.structs.replace(RAIN, seed=1, streaks=False), [1])[0]
     assert other.tobytes() != images_of(msgspec.structs.replace(RAIN, streaks=False), [1])[0].tobytes()

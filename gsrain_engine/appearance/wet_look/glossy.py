@@ -7,7 +7,7 @@ import numba
 import numpy as np
 from jaxtyping import Float32, Float64, Int64
 
-from ...kernels import kernel
+from ...kernels import kernel, range_of
 from ...scene.water_surface import WATER_INDEX, reflectance, unshadowed
 from ..base import Image, Plane
 from .reflections import PlanarReflection, focal_and_center
@@ -74,10 +74,10 @@ def glossy_reflection(
 
 @kernel(parallel=True, error_model="numpy")
 @no_type_check
-def _integrate(points, normals, slopes, eye, pose, lens, depth, values, table, facets, color, share):
+def _integrate(portion, points, normals, slopes, eye, pose, lens, depth, values, table, facets, color, share):
     height, width = slopes.shape
     half = facets // 2
-    for v in numba.prange(height):
+    for v in range_of(portion, height):
         for u in range(width):
             slope = slopes[v, u]
             if slope < 0:

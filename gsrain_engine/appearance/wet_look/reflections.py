@@ -4,12 +4,11 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, no_type_check
 
 import cv2
-import numba
 import numpy as np
 from jaxtyping import Bool, Float32
 from scipy import ndimage
 
-from ...kernels import kernel
+from ...kernels import kernel, range_of
 from ...scene.camera import Camera
 from ..base import ClearView, Image, Plane
 from ..normals import view_rays
@@ -115,10 +114,12 @@ def focal_and_center(camera: Camera) -> tuple[float, float, float, float]:
 
 @kernel(parallel=True, error_model="numpy")
 @no_type_check
-def _follow(solid, is_sky, pose, eye_lens, mirror_pose, mirror_lens, normal, offset, places, depth, found, left):
+def _follow(
+    portion, solid, is_sky, pose, eye_lens, mirror_pose, mirror_lens, normal, offset, places, depth, found, left
+):
     rows, columns = solid.shape
     turn = np.ascontiguousarray(pose[:3, :3])
-    for v in numba.prange(depth.shape[0]):
+    for v in range_of(portion, depth.shape[0]):
         for u in range(depth.shape[1]):
             x, y = (u + 0.5 - mirror_lens[2]) / mirror_lens[0], (v + 0.5 - mirror_lens[3]) / mirror_lens[1]
             direction = mirror_pose[:3, 0] * x + mirror_pose[:3, 1] * y + mirror_pose[:3, 2]

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int8, Int64
 
 from ...datasets.capture import EGO_HEIGHT_M, Capture, LidarSweep
-from ...kernels import kernel
+from ...kernels import kernel, range_of
 from ...rain.frame import RainCamera
 from ...rain.simulation import RainSimulation
 from ...rain.wetness import water_depth_mm
@@ -311,10 +311,10 @@ def _surfaces_met(
 
 @kernel(parallel=True)
 @no_type_check
-def _meet(shapes, starts, members, columns, planes, is_sky, rays, places, found):
+def _meet(portion, shapes, starts, members, columns, planes, is_sky, rays, places, found):
     """Write the depth along the view axis, 0 without a surface, and the unit normal that each ray hits."""
     right, bottom = columns * TILE, (len(starts) - 1) // columns * TILE
-    for i in numba.prange(len(rays)):
+    for i in range_of(portion, len(rays)):
         u, v, ray = places[i, 0], places[i, 1], rays[i]
         if not (0 <= u < right and 0 <= v < bottom):  # also NaN
             continue

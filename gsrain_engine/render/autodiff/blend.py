@@ -59,8 +59,8 @@ def blend_backward(
 
 @kernel(parallel=True, error_model="numpy", fastmath=FAST)
 @no_type_check
-def _blend_backward(tiles, shapes, channels, data):
-    walk_tiles(tiles, shapes, channels, 7, _SUMS, _load, _sum_splat, nothing, data)
+def _blend_backward(portion, tiles, shapes, channels, data):
+    walk_tiles(portion, tiles, shapes, channels, 7, _SUMS, _load, _sum_splat, nothing, data)
 
 
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)

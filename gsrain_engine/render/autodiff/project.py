@@ -6,7 +6,7 @@ import numba
 import numpy as np
 from jaxtyping import Float, Float64
 
-from ...kernels import kernel
+from ...kernels import kernel, range_of
 from ...scene.camera import Camera
 from ..cpu import projection
 from ..cpu.projection import dot, in_camera, jacobian
@@ -56,8 +56,10 @@ def eye_of(world_to_camera: Float64[np.ndarray, "4 4"]) -> Float64[np.ndarray, "
 
 @kernel(parallel=True, error_model="numpy")
 @no_type_check
-def _project(means, scales, quaternions, opacities, colors, display, m, eye, intrinsics, shapes, channels, radii):
-    for chunk in numba.prange((len(means) + CHUNK - 1) // CHUNK):
+def _project(
+    portion, means, scales, quaternions, opacities, colors, display, m, eye, intrinsics, shapes, channels, radii
+):
+    for chunk in range_of(portion, (len(means) + CHUNK - 1) // CHUNK):
         basis = np.empty(16, np.float64)
         for i in range(chunk * CHUNK, min(len(means), (chunk + 1) * CHUNK)):
             depth, radius = _shape(means[i], scales[i], quaternions[i], opacities[i], m, intrinsics, shapes[i])
@@ -182,10 +184,10 @@ def project_backward(
 @kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _project_back(
-    means, scales, quaternions, opacities, colors, display, shapes, channels, radii, sums, m, eye, intrinsics,
+    portion, means, scales, quaternions, opacities, colors, display, shapes, channels, radii, sums, m, eye, intrinsics,
     by_means, by_scales, by_quaternions, by_opacities, by_colors, by_display, on_screen, by_chunk,
 ):  # fmt: skip
-    for chunk in numba.prange((len(means) + CHUNK - 1) // CHUNK):
+    for chunk in range_of(portion, (len(means) + CHUNK - 1) // CHUNK):
         basis, by_basis = np.empty(16, np.float64), np.empty(16, np.float64)
         pose = by_chunk[chunk]
         for i in range(chunk * CHUNK, min(len(means), (chunk + 1) * CHUNK)):
@@ -291,8 +293,8 @@ def sh_backward(
 
 @kernel(parallel=True, error_model="numpy")
 @no_type_check
-def _colors_back(means, channels, radii, sums, eye, by_colors, by_display):
-    for chunk in numba.prange((len(means) + CHUNK - 1) // CHUNK):
+def _colors_back(portion, means, channels, radii, sums, eye, by_colors, by_display):
+    for chunk in range_of(portion, (len(means) + CHUNK - 1) // CHUNK):
         basis = np.empty(16, np.float64)
         for i in range(chunk * CHUNK, min(len(means), (chunk + 1) * CHUNK)):
             if radii[i] > 0:

@@ -108,8 +108,8 @@ _LINES = RAIN_LINES + 2
 
 @kernel(parallel=True, error_model="numpy", fastmath=FAST)
 @no_type_check
-def _composite_over(tiles, shapes, channels, images):
-    walk_columns(tiles, shapes, channels, _LINES, _enter, _visit_over, _store_over, images)
+def _composite_over(portion, tiles, shapes, channels, images):
+    walk_columns(portion, tiles, shapes, channels, _LINES, _enter, _visit_over, _store_over, images)
 
 
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)

@@ -4,11 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import no_type_check
 
-import numba
 import numpy as np
 from jaxtyping import Float32, Int64
 
-from ...kernels import kernel
+from ...kernels import kernel, range_of
 from ...scene.gaussians import Gaussians, IdentityKey
 from ...scene.mapped_arrays import is_mapped, release_pages
 
@@ -173,7 +172,7 @@ def _mark(members, flags):
 
 @kernel(parallel=True)
 @no_type_check
-def _translate(members, slots, rows):
-    for n in numba.prange(len(members)):
+def _translate(portion, members, slots, rows):
+    for n in range_of(portion, len(members)):
         i = members[n]
         rows[n] = (slots[i >> _SHIFT] << _SHIFT) | (i & (BLOCK - 1))

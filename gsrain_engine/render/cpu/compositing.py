@@ -8,7 +8,7 @@ import numba
 import numpy as np
 from jaxtyping import Float, Float32, Int32
 
-from ...kernels import kernel
+from ...kernels import kernel, range_of
 from ...rain.medium import RainMedium, depth_behind_scene, less_drawn, without_drawn
 from ...scene.camera import Camera
 from ...scene.geometry import linear_to_srgb
@@ -145,8 +145,8 @@ def _with_film(channels: Float32[np.ndarray, "m 4"], film: Film) -> Float32[np.n
 
 @kernel(parallel=True)
 @no_type_check
-def _join(channels, film, joined):
-    for i in numba.prange(len(joined)):
+def _join(portion, channels, film, joined):
+    for i in range_of(portion, len(joined)):
         for c in range(4):
             joined[i, c] = channels[i, c]
         joined[i, 4], joined[i, 5] = film[i, 0], film[i, 1]
@@ -158,32 +158,34 @@ def _join(channels, film, joined):
 
 @kernel(parallel=True, error_model="numpy", fastmath=FAST)
 @no_type_check
-def _composite(tiles, shapes, channels, images):
-    walk_columns(tiles, shapes, channels, 6, nothing, _visit, _store, images)
+def _composite(portion, tiles, shapes, channels, images):
+    walk_columns(portion, tiles, shapes, channels, 6, nothing, _visit, _store, images)
 
 
 @kernel(parallel=True, error_model="numpy", fastmath=FAST)
 @no_type_check
-def _composite_rain(tiles, shapes, channels, images):
-    walk_columns(tiles, shapes, channels, RAIN_LINES, open_to_rain, _visit_in_rain, store_rain, images)
+def _composite_rain(portion, tiles, shapes, channels, images):
+    walk_columns(portion, tiles, shapes, channels, RAIN_LINES, open_to_rain, _visit_in_rain, store_rain, images)
 
 
 @kernel(parallel=True, error_model="numpy", fastmath=FAST)
 @no_type_check
-def _composite_lit_rain(tiles, shapes, channels, images):
-    walk_columns(tiles, shapes, channels, _LIT_LINES, open_to_rain, _visit_in_lit_rain, _store_lit_rain, images)
+def _composite_lit_rain(portion, tiles, shapes, channels, images):
+    walk_columns(
+        portion, tiles, shapes, channels, _LIT_LINES, open_to_rain, _visit_in_lit_rain, _store_lit_rain, images
+    )
 
 
 @kernel(parallel=True, error_model="numpy", fastmath=FAST)
 @no_type_check
-def _composite_veil(tiles, shapes, channels, images):
-    walk_columns(tiles, shapes, channels, 7, nothing, _visit_behind_veil, _store_veil, images)
+def _composite_veil(portion, tiles, shapes, channels, images):
+    walk_columns(portion, tiles, shapes, channels, 7, nothing, _visit_behind_veil, _store_veil, images)
 
 
 @kernel(parallel=True, error_model="numpy", fastmath=FAST)
 @no_type_check
-def _composite_wet(tiles, shapes, channels, images):
-    walk_columns(tiles, shapes, channels, 8, nothing, _visit_wet, _store_wet, images)
+def _composite_wet(portion, tiles, shapes, channels, images):
+    walk_columns(portion, tiles, shapes, channels, 8, nothing, _visit_wet, _store_wet, images)
 
 
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)
@@ -462,8 +464,8 @@ _BLOCK = 1024  # splats that are copied to contiguous numbers, which LLVM vector
 
 @kernel(parallel=True, error_model="numpy", fastmath=FAST)
 @no_type_check
-def _dim_by_medium(shapes, colors, intrinsics, numbers, drawn, light, is_linear):
-    for block in numba.prange((len(colors) + _BLOCK - 1) // _BLOCK):
+def _dim_by_medium(portion, shapes, colors, intrinsics, numbers, drawn, light, is_linear):
+    for block in range_of(portion, (len(colors) + _BLOCK - 1) // _BLOCK):
         lines = np.empty((6, _BLOCK), np.float32)
         start = block * _BLOCK
         count = min(_BLOCK, len(colors) - start)
@@ -482,9 +484,9 @@ def _dim_by_medium(shapes, colors, intrinsics, numbers, drawn, light, is_linear)
 
 @kernel(parallel=True, error_model="numpy", fastmath=FAST)
 @no_type_check
-def _mix_airlights(colors, shares, light, is_linear):
+def _mix_airlights(portion, colors, shares, light, is_linear):
     """Change colors in place by the share of light that arrives from each, of which there may be any number."""
-    for block in numba.prange((len(colors) + _BLOCK - 1) // _BLOCK):
+    for block in range_of(portion, (len(colors) + _BLOCK - 1) // _BLOCK):
         start = block * _BLOCK
         count = min(_BLOCK, len(colors) - start)
         line, there = np.zeros(_BLOCK, np.float32), np.ones(_BLOCK, np.float32)
@@ -531,9 +533,9 @@ def add_light(rgba: Float32[np.ndarray, "h w 4"], light: Float32[np.ndarray, "h 
 
 @kernel(parallel=True, error_model="numpy", fastmath=FAST)
 @no_type_check
-def _add_light(rgba, light):
+def _add_light(portion, rgba, light):
     height, width = light.shape[:2]
-    for row in numba.prange(height):
+    for row in range_of(portion, height):
         # Contiguous numbers, which LLVM vectorizes.
         before, added = np.empty(width, np.float32), np.empty(width, np.float32)
         for channel in range(3):
@@ -565,11 +567,11 @@ def sky_layer(medium: RainMedium, camera: Camera) -> SkyLayer:
 
 @kernel(parallel=True, error_model="numpy", fastmath=FAST)
 @no_type_check
-def _write_sky(shares, intrinsics, floor, numbers, drawn):
+def _write_sky(portion, shares, intrinsics, floor, numbers, drawn):
     height, width = shares.shape
     one, half = np.float32(1), np.float32(0.5)
     fx, fy, cx, cy = one / intrinsics[0], one / intrinsics[1], intrinsics[2], intrinsics[3]
-    for row in numba.prange(height):
+    for row in range_of(portion, height):
         lines = np.empty((5, width), np.float32)
         y = (np.float32(row) + half - cy) * fy
         for column in range(width):
@@ -603,14 +605,14 @@ def color_operator_transpose(
 
 @kernel(parallel=True, error_model="numpy", fastmath=FAST)
 @no_type_check
-def _accumulate(tiles, shapes, data):
-    walk_tiles(tiles, shapes, shapes[:0, :0], 4, 3, _load, _sum_image, nothing, data)
+def _accumulate(portion, tiles, shapes, data):
+    walk_tiles(portion, tiles, shapes, shapes[:0, :0], 4, 3, _load, _sum_image, nothing, data)
 
 
 @kernel(parallel=True, error_model="numpy", fastmath=FAST)
 @no_type_check
-def _accumulate_with_squares(tiles, shapes, data):
-    walk_tiles(tiles, shapes, shapes[:0, :0], 4, 4, _load, _sum_squares, nothing, data)
+def _accumulate_with_squares(portion, tiles, shapes, data):
+    walk_tiles(portion, tiles, shapes, shapes[:0, :0], 4, 4, _load, _sum_squares, nothing, data)
 
 
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)
@@ -682,22 +684,20 @@ def add_pairs(
 ) -> Float[np.ndarray, "{count} c"]:
     """Add the rows of each splat's tiles in the order of the tiles; `members` as in `TileLists`, of `count` splats."""
     sums = np.zeros((count, by_pair.shape[1]), by_pair.dtype)
-    _add_pairs(members, by_pair, sums, numba.get_num_threads())
+    _add_pairs(members, by_pair, sums)
     return sums
 
 
 @kernel(parallel=True, error_model="numpy")
 @no_type_check
-def _add_pairs(members, by_pair, sums, shares):
-    """Each thread goes through all pairs but owns a range of splats, so that no row is written by two."""
-    count = len(sums)
-    for share in numba.prange(shares):
-        first, last = share * count // shares, (share + 1) * count // shares
-        for k in range(len(members)):
-            n = members[k]
-            if first <= n < last:
-                for c in range(by_pair.shape[1]):
-                    sums[n, c] += by_pair[k, c]
+def _add_pairs(portion, members, by_pair, sums):
+    """Each portion goes through all pairs but owns a range of splats, so that no row is written by two."""
+    first, last = range_of(portion, len(sums)).start, range_of(portion, len(sums)).stop
+    for k in range(len(members)):
+        n = members[k]
+        if first <= n < last:
+            for c in range(by_pair.shape[1]):
+                sums[n, c] += by_pair[k, c]
 
 
 # Color operator

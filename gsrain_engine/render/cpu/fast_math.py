@@ -9,7 +9,7 @@ from llvmlite import ir
 from numba import extending, types
 from numba.core import cgutils
 
-from ...kernels import kernel
+from ...kernels import kernel, range_of
 
 FAST = {"contract", "nsz", "arcp"}
 """Rounding freedom of the kernels: fused multiply-add and reciprocals, but no change of infinities or order."""
@@ -171,14 +171,19 @@ def sh_basis(x: np.float32, y: np.float32, z: np.float32, coefficients: int, bas
         basis[15] = np.float32(-0.5900435899266435) * x * (x * x - np.float32(3) * y * y)
 
 
-@kernel(parallel=True, error_model="numpy")
-@no_type_check
 def harmonics(directions: Float32[np.ndarray, "m 3"], coefficients: int) -> Float32[np.ndarray, "m k"]:
     """Evaluate the first 1, 4, 9 or 16 harmonics in unit directions, eye to Gaussian, in the object's own frame."""
     values = np.empty((len(directions), coefficients), np.float32)
-    for chunk in numba.prange((len(directions) + 1023) // 1024):
+    _fill_harmonics(directions, values)
+    return values
+
+
+@kernel(parallel=True, error_model="numpy")
+@no_type_check
+def _fill_harmonics(portion, directions, values):
+    coefficients = values.shape[1]
+    for chunk in range_of(portion, (len(directions) + 1023) // 1024):
         basis = np.empty(16, np.float32)
         for n in range(chunk * 1024, min(len(directions), (chunk + 1) * 1024)):
             sh_basis(directions[n, 0], directions[n, 1], directions[n, 2], coefficients, basis)
             values[n] = basis[:coefficients]
-    return values

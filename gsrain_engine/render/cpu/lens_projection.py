@@ -12,7 +12,7 @@ import numba
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from ...kernels import kernel
+from ...kernels import kernel, range_of
 from ...scene.camera import Camera
 from ...scene.lens import lens_numbers, view_bounds
 from ...scene.lens_kernels import bent_place
@@ -118,11 +118,11 @@ def lens_candidates(part: DrawItem, pose: RollingPose, view: LensView, *, as_poi
 
 @kernel(parallel=True, error_model="numpy")
 @no_type_check
-def _flag_in_cone(means, scales, opacities, left_out, faintest, m, scale, angle, slack, flags):
+def _flag_in_cone(portion, means, scales, opacities, left_out, faintest, m, scale, angle, slack, flags):
     """Flag Gaussians that reach into the cone of the view, each treated as a ball."""
     extent = np.sqrt(-2 * LOG_RAIN_CUT) * scale
     inner, ahead_sine, ahead_cosine = angle + 0.02, np.sin(min(angle + 0.02, np.pi)), np.cos(min(angle + 0.02, np.pi))
-    for chunk in numba.prange((len(flags) + CHUNK - 1) // CHUNK):
+    for chunk in range_of(portion, (len(flags) + CHUNK - 1) // CHUNK):
         for i in range(chunk * CHUNK, min(len(flags), (chunk + 1) * CHUNK)):
             x = m[0, 0] * means[i, 0] + m[0, 1] * means[i, 1] + m[0, 2] * means[i, 2] + m[0, 3]
             y = m[1, 0] * means[i, 0] + m[1, 1] * means[i, 1] + m[1, 2] * means[i, 2] + m[1, 3]
@@ -138,11 +138,11 @@ def _flag_in_cone(means, scales, opacities, left_out, faintest, m, scale, angle,
 @kernel(parallel=True, error_model="numpy")
 @no_type_check
 def project_through_lens(
-    members, means, scales, quaternions, opacities, sh, wet_sh, wetness, rain, opacity, change, selected, as_points,
-    antialiased, matrices, eyes, moves, intrinsics, lens, scan, by_distance, edges, shapes, colors, points,
+    portion, members, means, scales, quaternions, opacities, sh, wet_sh, wetness, rain, opacity, change, selected,
+    as_points, antialiased, matrices, eyes, moves, intrinsics, lens, scan, by_distance, edges, shapes, colors, points,
 ):  # fmt: skip
     """Fill shapes, colors and points (in the camera's frame) of one part; depth 0 marks those not to be drawn."""
-    for chunk in numba.prange((len(members) + CHUNK - 1) // CHUNK):
+    for chunk in range_of(portion, (len(members) + CHUNK - 1) // CHUNK):
         first, last = chunk * CHUNK, min(len(members), (chunk + 1) * CHUNK)
         directions, eye = np.zeros((CHUNK, 3), np.float32), eyes[0].copy()
         for n in range(first, last):

@@ -7,7 +7,7 @@ import numba
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
 
-from ...kernels import kernel
+from ...kernels import kernel, range_of
 from ...scene.camera import Camera
 from ...scene.scene import DrawItem
 from .block_cache import BlockCaches
@@ -155,8 +155,8 @@ def _candidates(
 
 @kernel(parallel=True, error_model="numpy")
 @no_type_check
-def _flag_chunks(first, last, means, scales, opacities, left_out, faintest, m, scale, intrinsics, flags):
-    for chunk in numba.prange((last - first + CHUNK - 1) // CHUNK):
+def _flag_chunks(portion, first, last, means, scales, opacities, left_out, faintest, m, scale, intrinsics, flags):
+    for chunk in range_of(portion, (last - first + CHUNK - 1) // CHUNK):
         start = first + np.int64(chunk) * CHUNK
         end = min(last, start + CHUNK)
         _flag_range(start, end, means, scales, opacities, left_out, faintest, m, scale, intrinsics, flags)
@@ -188,10 +188,10 @@ def _flag_range(first, last, means, scales, opacities, left_out, faintest, m, sc
 @kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _project_chunks(
-    first, last, members, means, scales, quaternions, opacities, sh, wet_sh, wetness, rain, opacity, change, selected,
-    as_points, antialiased, object_to_camera, eye, intrinsics, shapes, colors,
+    portion, first, last, members, means, scales, quaternions, opacities, sh, wet_sh, wetness, rain, opacity, change,
+    selected, as_points, antialiased, object_to_camera, eye, intrinsics, shapes, colors,
 ):  # fmt: skip
-    for chunk in numba.prange((last - first + CHUNK - 1) // CHUNK):
+    for chunk in range_of(portion, (last - first + CHUNK - 1) // CHUNK):
         start = first + np.int64(chunk) * CHUNK
         _project_range(
             start, min(last, start + CHUNK), members, means, scales, quaternions, opacities, sh, wet_sh, wetness, rain,

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float32, Int32, UInt8
 
 from ...choices import RenderMode
-from ...kernels import kernel
+from ...kernels import kernel, range_of
 from ...malloc_tuning import tune_malloc
 from ...rain.frame import RainFrame
 from ...rain.lamp_light import LampLight, light_in_picture, share_of_depth
@@ -295,9 +295,9 @@ def _color_by_mode(mode: RenderMode, splats: Splats, parts: Sequence[DrawItem], 
 
 @kernel(parallel=True, error_model="numpy")
 @no_type_check
-def _normal_colors(rows, members, means, scales, quaternions, to_world, eye, colors):
+def _normal_colors(portion, rows, members, means, scales, quaternions, to_world, eye, colors):
     """Write 0.5 + 0.5 n of each Gaussian's shortest axis n in the world, facing the eye, to `rows` of `colors`."""
-    for n in numba.prange(len(rows)):
+    for n in range_of(portion, len(rows)):
         i = members[n]
         q = quaternions[i]
         axes = rotation_columns(np.float64(q[0]), np.float64(q[1]), np.float64(q[2]), np.float64(q[3]))
@@ -325,9 +325,9 @@ _LOG_SURFACE_ALPHA = np.float32(np.log(SURFACE_ALPHA))
 
 @kernel(parallel=True, error_model="numpy", fastmath=FAST)
 @no_type_check
-def _count(tiles, shapes, counts):
+def _count(portion, tiles, shapes, counts):
     """Count the splats per pixel whose alpha is not below their cut, including those behind opaque ones."""
-    walk_tiles(tiles, shapes, shapes[:0, :0], 2, 0, nothing, _count_splat, _store_counts, counts)
+    walk_tiles(portion, tiles, shapes, shapes[:0, :0], 2, 0, nothing, _count_splat, _store_counts, counts)
 
 
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)
@@ -353,12 +353,12 @@ def _store_counts(state, x0, y0, counts):
 
 @kernel(parallel=True, error_model="numpy", fastmath=FAST)
 @no_type_check
-def _cover(tiles, shapes, colors, rgba):
+def _cover(portion, tiles, shapes, colors, rgba):
     """Color each pixel by the nearest splat whose alpha there is at least `SURFACE_ALPHA`, with an alpha of 1.
 
     Shaded like a ball: full color in the middle, half of it at the rim.
     """
-    walk_tiles(tiles, shapes, colors, 4, 0, nothing, _cover_splat, _store_covers, rgba)
+    walk_tiles(portion, tiles, shapes, colors, 4, 0, nothing, _cover_splat, _store_covers, rgba)
 
 
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)

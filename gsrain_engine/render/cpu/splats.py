@@ -7,7 +7,7 @@ import numba
 import numpy as np
 from jaxtyping import Float, Float32, Float64, Int32, Int64, UInt32
 
-from ...kernels import kernel
+from ...kernels import kernel, range_of
 from ...scene.camera import Camera
 from ...scene.flags import BitMask
 from ...scene.scene import DrawItem
@@ -82,62 +82,89 @@ def nearest_first(depths: Float[np.ndarray, " m"]) -> Int32[np.ndarray, " drawn"
 _DIGITS, _PARTS = 3, 16  # passes of the sort; parts of the rows, which are processed in parallel
 
 
-@kernel(parallel=True)
-@no_type_check
-def _radix_sort(bits):
+def _radix_sort(bits: UInt32[np.ndarray, " n"]) -> Int32[np.ndarray, " m"]:
     """Rows with bits other than 0, sorted by them: a stable radix sort from the lowest digit on.
 
     Parts of the rows are counted and moved in parallel; the result does not depend on their number. Digits share the
     bits in which depths differ: 9 bits each for depths from 0.5 to 50 m, whose 512 places stay in the nearest cache.
     """
-    count = len(bits)
-    size = (count + _PARTS - 1) // _PARTS
     limits = np.empty((_PARTS, 3), np.uint32)
-    for part in numba.prange(_PARTS):
+    _find_limits(bits, limits)
+    lowest, highest, zeros = int(limits[:, 0].min()), int(limits[:, 1].max()), int(limits[:, 2].sum())
+    if highest == 0:
+        return np.empty(0, np.int32)
+    width = max(1, -(-(highest - lowest).bit_length() // _DIGITS))
+    # A number for each row: its depth above its index. Rows without depth come first.
+    numbers, moved = np.empty(len(bits), np.uint64), np.empty(len(bits), np.uint64)
+    _number(bits, np.uint32(lowest), numbers)
+    places = np.empty((_PARTS, 1 << width), np.int64)
+    for digit in range(_DIGITS):
+        shift, mask = np.uint64(32 + digit * width), np.uint64((1 << width) - 1)
+        _count_values(numbers, shift, mask, places)
+        _to_places(places)
+        _move(numbers, shift, mask, places, moved)
+        numbers, moved = moved, numbers
+    return numbers[zeros:].astype(np.uint32).view(np.int32)
+
+
+@numba.njit(inline="always")
+@no_type_check
+def _part_of(count, part):
+    size = (count + _PARTS - 1) // _PARTS
+    return range(part * size, min(count, (part + 1) * size))
+
+
+@kernel(parallel=True)
+@no_type_check
+def _find_limits(portion, bits, limits):
+    """Write the lowest bits but 0, less 1, the highest, and the number of zeros of each part."""
+    for part in range_of(portion, _PARTS):
         low, high, zeros = np.uint32(0xFFFFFFFF), np.uint32(0), np.uint32(0)
-        for i in range(part * size, min(count, (part + 1) * size)):
+        for i in _part_of(len(bits), part):
             zeros += np.uint32(bits[i] == 0)
             low, high = min(low, bits[i] - np.uint32(1)), max(high, bits[i])  # 0 becomes the largest number
         limits[part, 0], limits[part, 1], limits[part, 2] = low, high, zeros
-    lowest, highest, zeros = limits[:, 0].min(), limits[:, 1].max(), limits[:, 2].sum()
-    if highest == 0:
-        return np.empty(0, np.int32)
-    width = np.uint64(1)
-    while np.uint64(highest - lowest) >> (np.uint64(_DIGITS) * width) > 0:
-        width += np.uint64(1)
-    mask = (np.uint64(1) << width) - np.uint64(1)
-    # A number for each row: its depth above its index. Rows without depth come first.
-    numbers, moved = np.empty(count, np.uint64), np.empty(count, np.uint64)
-    places = np.empty((_PARTS, np.int64(mask) + 1), np.int64)
-    rows = np.empty(count - np.int64(zeros), np.int32)
-    for digit in range(_DIGITS):
-        shift = np.uint64(32) + np.uint64(digit) * width
-        for part in numba.prange(_PARTS):
-            place = places[part]
-            place[:] = 0
-            for i in range(part * size, min(count, (part + 1) * size)):
-                if digit == 0:
-                    depth = np.uint64(bits[i] - lowest) if bits[i] > 0 else np.uint64(0)
-                    numbers[i] = depth << np.uint64(32) | np.uint64(i)
-                place[np.int64(numbers[i] >> shift & mask)] += 1
-        # From counts to places: all of a value after those of smaller ones, part by part.
-        first = 0
-        for value in range(places.shape[1]):
-            for part in range(_PARTS):
-                here = places[part, value]
-                places[part, value] = first
-                first += here
-        for part in numba.prange(_PARTS):
-            place = places[part]
-            for i in range(part * size, min(count, (part + 1) * size)):
-                value = np.int64(numbers[i] >> shift & mask)
-                moved[place[value]] = numbers[i]
-                place[value] += 1
-        numbers, moved = moved, numbers
-    for part in numba.prange(_PARTS):
-        for i in range(max(part * size, np.int64(zeros)), min(count, (part + 1) * size)):
-            rows[i - np.int64(zeros)] = np.int32(numbers[i] & np.uint64(0xFFFFFFFF))
-    return rows
+
+
+@kernel(parallel=True)
+@no_type_check
+def _number(portion, bits, lowest, numbers):
+    for i in range_of(portion, len(bits)):
+        depth = np.uint64(bits[i] - lowest) if bits[i] > 0 else np.uint64(0)
+        numbers[i] = depth << np.uint64(32) | np.uint64(i)
+
+
+@kernel(parallel=True)
+@no_type_check
+def _count_values(portion, numbers, shift, mask, places):
+    for part in range_of(portion, _PARTS):
+        place = places[part]
+        place[:] = 0
+        for i in _part_of(len(numbers), part):
+            place[np.int64(numbers[i] >> shift & mask)] += 1
+
+
+@kernel()
+@no_type_check
+def _to_places(places):
+    """Change counts to places: all of a value after those of smaller ones, part by part."""
+    first = 0
+    for value in range(places.shape[1]):
+        for part in range(_PARTS):
+            here = places[part, value]
+            places[part, value] = first
+            first += here
+
+
+@kernel(parallel=True)
+@no_type_check
+def _move(portion, numbers, shift, mask, places, moved):
+    for part in range_of(portion, _PARTS):
+        place = places[part]
+        for i in _part_of(len(numbers), part):
+            value = np.int64(numbers[i] >> shift & mask)
+            moved[place[value]] = numbers[i]
+            place[value] += 1
 
 
 def mask_words(mask: BitMask | None) -> UInt32[np.ndarray, " w"]:

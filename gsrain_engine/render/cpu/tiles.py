@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float32, Int32, Int64
 from numba.cpython.unsafe.numbers import trailing_zeros
 
-from ...kernels import kernel
+from ...kernels import kernel, range_of
 from .fast_math import FAST, ROOT, exponential_of_root, stack_lines
 from .splats import MIN_SCENE_CUT
 
@@ -64,14 +64,14 @@ def bin_into_tiles(
 
 @kernel(parallel=True, error_model="numpy")
 @no_type_check
-def _count(shapes, order, columns, rows, counts, corners, masks):
+def _count(portion, shapes, order, columns, rows, counts, corners, masks):
     """Count each tile's splats. For each splat store the first tile of the box around it, and a mask of touched ones.
 
     The mask has _SIDE bits for each column of the box. If that has more columns or rows, the first tile is stored as
     -1. Each chunk of the splats has its own counts, since chunks are processed in parallel.
     """
     size = (len(order) + _CHUNKS - 1) // _CHUNKS
-    for chunk in numba.prange(_CHUNKS):
+    for chunk in range_of(portion, _CHUNKS):
         count = counts[chunk]
         # A line for each number of a batch's ellipses, so that LLVM vectorizes the loop over its splats, which has no
         # branches; those of the loop over tiles are mispredicted too often for the processor to overlap divisions.
@@ -119,10 +119,10 @@ def _count(shapes, order, columns, rows, counts, corners, masks):
 
 @kernel(parallel=True, error_model="numpy")
 @no_type_check
-def _write(shapes, order, columns, rows, corners, masks, places, members):
+def _write(portion, shapes, order, columns, rows, corners, masks, places, members):
     """Write each splat to the places of the tiles that it touches, and advance those by one."""
     size = (len(order) + _CHUNKS - 1) // _CHUNKS
-    for chunk in numba.prange(_CHUNKS):
+    for chunk in range_of(portion, _CHUNKS):
         place = places[chunk]
         for k in range(chunk * size, min(len(order), (chunk + 1) * size)):
             mask, corner, n = masks[k], corners[k], order[k]
@@ -242,7 +242,7 @@ value.
 
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)
 @no_type_check
-def walk_tiles(tiles, shapes, channels, lines, sums, enter, visit, leave, data):
+def walk_tiles(portion, tiles, shapes, channels, lines, sums, enter, visit, leave, data):
     """Walk over all tiles in parallel, and over the splats of each, nearest first, until all its pixels are finished.
 
     The tile's `state` has one row for each column of pixels, with `lines` lines of TILE numbers: the transmittance, 1
@@ -257,7 +257,7 @@ def walk_tiles(tiles, shapes, channels, lines, sums, enter, visit, leave, data):
     width, height, starts, members = tiles
     real = shapes.dtype.type
     columns, rows = (width + TILE - 1) // TILE, (height + TILE - 1) // TILE
-    for place in numba.prange(columns * rows):
+    for place in range_of(portion, columns * rows):
         # Column by column, so that each thread has sky and road.
         tile = place % rows * columns + place // rows
         x0, y0 = (tile % columns) * TILE, (tile // columns) * TILE
@@ -280,7 +280,7 @@ def walk_tiles(tiles, shapes, channels, lines, sums, enter, visit, leave, data):
 
 @numba.njit(inline="always", error_model="numpy", fastmath=FAST)
 @no_type_check
-def walk_columns(tiles, shapes, channels, lines, enter, visit, leave, data):
+def walk_columns(portion, tiles, shapes, channels, lines, enter, visit, leave, data):
     """Walk over tiles as `walk_tiles` does, and in each batch of splats over the columns of pixels, then the splats.
 
     So the lines of a column are held in registers while all splats of a batch are blended into it. That takes 0.7 of
@@ -293,7 +293,7 @@ def walk_columns(tiles, shapes, channels, lines, enter, visit, leave, data):
     real = shapes.dtype.type
     share = real(1 / ROOT)
     columns, rows = (width + TILE - 1) // TILE, (height + TILE - 1) // TILE
-    for place in numba.prange(columns * rows):
+    for place in range_of(portion, columns * rows):
         # Column by column, so that each thread has sky and road.
         tile = place % rows * columns + place // rows
         x0, y0 = (tile % columns) * TILE, (tile // columns) * TILE

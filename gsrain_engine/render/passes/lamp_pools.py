@@ -7,11 +7,10 @@ ground, so that vehicles and poles hide it as they hide the road, on all back en
 from math import cos, exp, pi, sin, sqrt
 from typing import no_type_check
 
-import numba
 import numpy as np
 from jaxtyping import Float, Float64
 
-from ...kernels import kernel
+from ...kernels import kernel, range_of
 from ...scene.camera import Camera
 from ...scene.gaussians import SH_C0, Gaussians
 from ...scene.geometry import linear_to_srgb, quaternions_from_matrices
@@ -131,9 +130,9 @@ def _cells(
 
 @kernel(parallel=True, error_model="numpy")
 @no_type_check
-def _light_cells(light, water, distances, azimuths, eye, rows, fixed, albedo, wet):
+def _light_cells(portion, light, water, distances, azimuths, eye, rows, fixed, albedo, wet):
     """Matte light and light by full cover of water from cells of the ground (z = 0) to the eye, linear."""
-    for i in numba.prange(len(distances)):
+    for i in range_of(portion, len(distances)):
         r = distances[i]
         length = sqrt(r * r + eye[2] * eye[2])
         view = eye[2] / length

@@ -2,13 +2,13 @@
 
 from collections.abc import Callable, Sequence
 
-import numba
 import numpy as np
 
 from gsrain_engine.render.renderer import Frame, Renderer
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.scene import DrawItem
+from gsrain_engine.threads import limited_kernels
 
 
 def random_gaussians(
@@ -52,11 +52,8 @@ def psnr_db(a: Frame, b: Frame) -> float:
 
 def at_each_thread_count(work: Callable[[], bytes]) -> set[bytes]:
     """Results of some work by each number of threads, and once more."""
-    results, before = set[bytes](), numba.get_num_threads()
-    try:
-        for threads in (*range(1, numba.config.NUMBA_NUM_THREADS + 1), before):
-            numba.set_num_threads(threads)
+    results = set[bytes]()
+    for threads in (1, 2, 3, 1):
+        with limited_kernels(threads):
             results.add(work())
-    finally:
-        numba.set_num_threads(before)
     return results
