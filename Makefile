@@ -7,7 +7,7 @@ VENV ?= .venv
 RUN = $(VENV)/bin
 OUT ?= out
 
-.PHONY: demo docs gpu pictures test tests kernels modules npm coverage fuzz lint wheel sbom licences bundle setup system clean
+.PHONY: demo docs gpu pictures test tests kernels modules npm coverage fuzz lint wheel compiled-wheel sbom licences bundle setup system clean
 
 demo: setup
 	@if [ -n "$$DISPLAY$$WAYLAND_DISPLAY" ]; then \
@@ -96,6 +96,11 @@ wheel: $(RELEASE)/tools
 	$(RELEASE)/tools/bin/pip --python $(RELEASE)/clean install $(QUIET_PIP) -c constraints.txt dist/gsrain-*.whl
 	cd $(RELEASE) && clean/bin/gsrain --version && clean/bin/gsrain doctor
 	cd $(RELEASE) && clean/bin/gsrain render -o wheel.png --size 320x200 --rain 8.5
+	$(MAKE) compiled-wheel
+
+# For this version of Python and this architecture, with its kernels compiled.
+compiled-wheel: setup $(VENV)/.installed-jobs
+	GSRAIN_COMPILED_KERNELS=1 $(RUN)/pip wheel $(QUIET_PIP) --no-build-isolation --no-deps --wheel-dir dist .
 
 sbom: wheel
 	$(RELEASE)/tools/bin/cyclonedx-py environment --pyproject pyproject.toml --mc-type application --output-reproducible \

@@ -1,8 +1,9 @@
-"""Cache of compiled Numba kernels, one folder for each state of their sources, and the spin count of OpenMP threads."""
+"""Where compiled Numba kernels lie, in a folder for each state of their sources; the spin count of OpenMP threads."""
 
 import hashlib
 import os
 import pickle
+import platform
 import shutil
 import stat
 import sys
@@ -20,13 +21,20 @@ _HERE = Path(__file__).parent
 FRAME_SOURCES = tuple(
     _HERE / each
     for each in (
-        "kernels.py", "rain", "render/autodiff", "render/cpu", "water", "scene/ground_water.py",
+        "fast_math.py", "kernels.py", "rain", "render/autodiff", "render/cpu", "water", "scene/ground_water.py",
         "scene/lens_kernels.py", "scene/water_surface.py",
     )
 )  # fmt: skip
 """Folders and files with kernels that others call, and with the constants in them."""
 KERNEL_TABLE = _HERE / "kernel_table.txt"
 """Kernels of pictures, with their types of arguments, in the order of need: packaging/kernel_table.py writes it."""
+SHIPPED_KERNELS = _HERE / "compiled_kernels"
+"""Kernels of a wheel that was built with them (packaging/wheel_hook.py), for any processor with `BASELINES`."""
+BASELINES = {
+    "x86_64": ("x86-64-v3", frozenset({"avx2", "bmi2", "f16c", "fma", "lzcnt", "movbe"})),  # Intel 2013, AMD 2015
+    "aarch64": ("generic", frozenset[str]()),
+}
+"""Processor, as LLVM names it, that shipped kernels are compiled for, with the features to test, by architecture."""
 _CACHED_VERSIONS = 2
 _UNUSED_S = 3600.0  # age after which an unused folder may be removed; a process that still uses it only compiles again
 ROOM_BYTES = 32 << 20  # free space to require; the kernels take a fifth of it
@@ -49,9 +57,28 @@ def use_kernel_cache() -> None:
 
 
 def has_kernels() -> bool:
-    """Return whether the cache folder holds all kernels of a frame, so that loading them takes less than a second."""
+    """Return whether all kernels of a frame are compiled, so that loading them takes less than a second."""
     mark = _mark()
-    return mark is not None and mark.is_file()
+    return (mark is not None and mark.is_file()) or shipped_processor() is not None
+
+
+@cache
+def shipped_processor() -> str | None:
+    """Return the processor that shipped kernels are for; None without any, or where these don't fit."""
+    if not SHIPPED_KERNELS.is_dir():
+        return None
+    from llvmlite import binding  # imports Numba, whose first import must follow this module's
+
+    name, features = BASELINES.get(architecture(), ("", frozenset()))
+    found = binding.get_host_cpu_features()
+    fits = all(found.get(each) for each in features) and (SHIPPED_KERNELS / _mark_name(name)).is_file()
+    return name if fits else None
+
+
+def architecture() -> str:
+    """Return the name of this machine's instructions among `BASELINES`."""
+    machine = platform.machine().lower()
+    return {"amd64": "x86_64", "arm64": "aarch64"}.get(machine, machine)
 
 
 @cache
@@ -134,8 +161,12 @@ def _mark() -> Path | None:
     folder = os.environ.get("NUMBA_CACHE_DIR")
     if folder is None:
         return None
+    return Path(folder) / _mark_name(os.environ.get("NUMBA_CPU_NAME") or binding.get_host_cpu_name())
+
+
+def _mark_name(processor: str) -> str:
     versions = f"{metadata.version('gsrain')} {metadata.version('numba')} {sys.implementation.cache_tag}"
-    return Path(folder) / f"{_key(f'{versions} {binding.get_host_cpu_name()}', FRAME_SOURCES)}.complete"
+    return f"{_key(f'{versions} {processor}', FRAME_SOURCES)}.complete"
 
 
 def _has_room(folder: Path) -> bool:

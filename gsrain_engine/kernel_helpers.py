@@ -21,6 +21,7 @@ from .optional_packages import is_frozen
 from .threads import usable_cores
 
 _HELPER_BYTES = 500 << 20  # memory that a compiler needs
+_NICENESS = 5  # of helpers: what the user waits for next, such as the scene, comes first
 _MOST = 8  # helpers: the largest kernel takes a twentieth of the time of all
 _OWN = f"{__package__}."
 _IS_HELPER = "GSRAIN_COMPILES_KERNELS"
@@ -143,5 +144,7 @@ def _end_with_parent() -> None:
 
 
 if __name__ == "__main__":
+    if hasattr(os, "nice"):
+        os.nice(_NICENESS)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     compile_table()

@@ -1,5 +1,6 @@
 """Compiled kernels: their decorator, their cache, which processes share, and a report of compilation."""
 
+import inspect
 import logging
 import os
 from collections.abc import Callable
@@ -13,7 +14,13 @@ import numba
 import numpy as np
 from numba.core import caching, config, event
 
-from .compile_cache import compiled_kernels, is_first_to_compile, kernel_names
+from .compile_cache import (
+    SHIPPED_KERNELS,
+    compiled_kernels,
+    is_first_to_compile,
+    kernel_names,
+    shipped_processor,
+)
 from .safe_io.files import lock_path
 from .threads import kernel_threads, usable_cores
 
@@ -95,17 +102,23 @@ def range_of(portion, count):
 
 
 class KernelCache(caching.FunctionCache):
-    """Cache of one kernel, which one process at a time compiles: others wait for it, and then read it."""
+    """Cache of one kernel, which one process at a time compiles: others wait for it, and then read it.
+
+    Where the program was shipped with compiled kernels for this processor, it reads these.
+    """
 
     def __init__(self, function: Callable[..., Any]) -> None:
         """Begin without a lock; `function` is what is compiled."""
         super().__init__(function)
         self.function = function
         self._lock: ExitStack | None = None
+        stamp = self._impl.locator.get_source_stamp()
+        own = _own_folder(inspect.getfile(function)) or "of others"
+        self._shipped = caching.IndexDataCacheFile(SHIPPED_KERNELS / own, self._impl.filename_base, stamp)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the kernel for some types of arguments; None if this process has to compile it."""
-        found = super().load_overload(sig, target_context)
+        found = self._load_shipped(sig, target_context) or super().load_overload(sig, target_context)
         if found is None:
             from .kernel_helpers import compile_another, help_with  # rarely needed
 
@@ -118,6 +131,15 @@ class KernelCache(caching.FunctionCache):
         if found is not None:
             self.release()
         return found
+
+    def _load_shipped(self, sig: Any, target_context: Any) -> Any:
+        if (processor := shipped_processor()) is None:
+            return None
+        target_context.refresh()
+        codegen = target_context.codegen()
+        signature, _, function = self._index_key(sig, codegen)
+        data = self._shipped.load((signature, (codegen.magic_tuple()[0], processor, ""), function))
+        return None if data is None else self._impl.rebuild(target_context, data)
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep a kernel that this process has compiled."""
@@ -164,14 +186,17 @@ class SharedCacheLocator(caching.UserProvidedCacheLocator):
 
     def __init__(self, py_func: Any, py_file: str) -> None:
         super().__init__(py_func, py_file)
-        own = Path(py_file).resolve().relative_to(_PROGRAM).parent
-        self._cache_path = str(Path(_CONFIG.CACHE_DIR, *own.parts))
+        self._cache_path = str(Path(_CONFIG.CACHE_DIR, _own_folder(py_file) or ""))
 
     @classmethod
     def from_function(cls, py_func: Any, py_file: str) -> Any:
-        if not Path(py_file).resolve().is_relative_to(_PROGRAM):
-            return None
-        return super().from_function(py_func, py_file)
+        return None if _own_folder(py_file) is None else super().from_function(py_func, py_file)
+
+
+def _own_folder(file: str) -> Path | None:
+    """Folder of a file within the program; None if it is not of the program."""
+    path = Path(file).resolve()
+    return path.relative_to(_PROGRAM).parent if path.is_relative_to(_PROGRAM) else None
 
 
 _CONFIG: Any = config  # its names are made at run time

@@ -16,6 +16,7 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import psutil
 import pytest
 
@@ -124,6 +125,42 @@ def test_kernels_are_marked_for_sources_and_processor(tmp_path, sources, monkeyp
         assert not has_kernels()
     (sources / "a.py").write_text("x = 10\n")
     assert not has_kernels()
+
+
+SHIPPED = """
+import sys
+from pathlib import Path
+from gsrain_engine import compile_cache as cache
+cache.SHIPPED_KERNELS = Path(sys.argv[1])
+cache.BASELINES[cache.architecture()] = (sys.argv[2], frozenset(sys.argv[3:]))
+import numpy as np
+from numba.core import event
+from gsrain_engine.kernels import KernelCache
+from gsrain_engine.fast_math import harmonics
+with event.install_recorder("numba:compile") as recorder:
+    values = harmonics(np.array([[0.6, 0.0, 0.8]], np.float32), 4)
+cache.mark_kernels()
+print(len(recorder.buffer), cache.has_kernels(), cache.shipped_processor(), values.tolist())
+"""
+
+
+def test_kernels_that_a_wheel_brings_are_read_where_they_fit(tmp_path):
+    def found(cache_folder: str, *words: str, **environment: str) -> list[str]:
+        command = [sys.executable, "-c", SHIPPED, *words]
+        environment = {**os.environ, **environment, "NUMBA_CACHE_DIR": str(tmp_path / cache_folder)}
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+        return done.stdout.strip().split(" ", 3)
+
+    common = cache.BASELINES[cache.architecture()][0]
+    built = found("built", "nowhere", common, NUMBA_CPU_NAME=common, NUMBA_CPU_FEATURES="")
+    assert int(built[0]) > 0 and built[2] == "None"
+    folder = str(tmp_path / "built")
+    assert found("empty", folder, common) == ["0", "True", common, built[3]]
+    assert not list((tmp_path / "empty").rglob("*.nbi"))
+    for words in ((common, "a feature that no processor has"), ("another",)):  # of the processor; kernels of others
+        compiled = found(f"own{len(words)}", folder, *words)
+        assert int(compiled[0]) > 0 and compiled[2] == "None"
+        assert np.allclose(ast.literal_eval(compiled[3]), ast.literal_eval(built[3]), atol=1e-6)
 
 
 def kernels_of(path: Path) -> set[str]:

@@ -171,9 +171,13 @@ class Editor:
         return parts or waits or self.busy is not None
 
     def tick(self, real_s: float) -> None:
-        """Advance time and process finished background work. Once a frame."""
+        """Advance time and process finished background work. Once a frame.
+
+        Time stands until the renderer is ready: pictures of what stands in for it would keep it from that.
+        """
         viewport = self.viewport
-        self.playback.advance(real_s if self.has_time else 0.0)
+        waits = viewport.is_compiling or viewport.is_preparing
+        self.playback.advance(real_s if self.has_time and not waits else 0.0)
         viewport.drawn_preview, viewport.preview = viewport.preview, None
         viewport.following.ride(self.rollouts.displayed_scene, self.playback.clock.time_s, viewport.navigation)
         for part in (

@@ -13,6 +13,7 @@ import numba
 import numpy as np
 from jaxtyping import Float32, Float64
 
+from ..fast_math import exponential
 from ..kernels import kernel, range_of
 from ..scene.camera import Camera
 from ..scene.lamps import LitLamps
@@ -248,9 +249,72 @@ def _depths(column, row, cell_px, intrinsics, numbers, drawn, distances, depths)
     return ray
 
 
+@numba.njit(forceinline=True, error_model="numpy")
+@no_type_check
+def _angle(x):
+    """Arc tangent to 3e-7, in steps that LLVM vectorizes: that of a quarter of the angle, by its series."""
+    t = x / (np.float32(1) + np.sqrt(np.float32(1) + x * x))
+    t = t / (np.float32(1) + np.sqrt(np.float32(1) + t * t))
+    q = t * t
+    p = np.float32(1 / 9) - q * np.float32(1 / 11)
+    p = np.float32(-1 / 7) + q * p
+    p = np.float32(1 / 5) + q * p
+    p = np.float32(-1 / 3) + q * p
+    return np.float32(4) * t * (np.float32(1) + q * p)
+
+
 @numba.njit(error_model="numpy")
 @no_type_check
-def _sum_slices(ray, lamp, depths, distances, numbers, sums, light):
+def _scatter_slices(ray, lamp, nearest, b, depths, distances, numbers, sums, angles, light):
+    """Write the angle at each slice, and the light of one lamp that each slice scatters if it is lit as its middle is.
+
+    That is `_scattered` for each whole slice, in loops that LLVM vectorizes.
+    """
+    count, one = len(distances), np.float32(1)
+    for k in range(count):
+        angles[k] = _angle((distances[k] - nearest) / b)
+    along = lamp[3] * ray[0] + lamp[4] * ray[1] + lamp[5] * ray[2]
+    behind = lamp[3] * lamp[0] + lamp[4] * lamp[1] + lamp[5] * lamp[2]
+    across = (nearest * along - behind) / b
+    outer, width, has_cone = lamp[9], one / max(lamp[10] - lamp[9], np.float32(1e-6)), lamp[10] > -1
+    in_region = numbers[32] != 0
+    for k in range(1, count):
+        start, end = distances[k - 1] - nearest, distances[k] - nearest
+        near, far = np.sqrt(start * start + b * b), np.sqrt(end * end + b * b)
+        offset = min(max((start * far + end * near) / (near + far), start), end)
+        length = np.sqrt(b * b + offset * offset)
+        lit = one
+        if has_cone:
+            # As in `_scattered`; the angle from its middle to Gauss's outer points is at most 0.1.
+            turned, ahead, aside = (
+                np.float32(0.7745967 * 0.5) * (angles[k] - angles[k - 1]),
+                offset / length,
+                b / length,
+            )
+            cosine, sine = along * ahead + across * aside, along * aside - across * ahead
+            half = one - np.float32(0.5) * turned * turned
+            at = min(max((cosine - outer) * width, np.float32(0)), one)
+            left = min(max((half * cosine + turned * sine - outer) * width, np.float32(0)), one)
+            right = min(max((half * cosine - turned * sine - outer) * width, np.float32(0)), one)
+            lit = np.float32(8 / 18) * at * at * (np.float32(3) - np.float32(2) * at) + np.float32(5 / 18) * (
+                left * left * (np.float32(3) - np.float32(2) * left)
+                + right * right * (np.float32(3) - np.float32(2) * right)
+            )
+        per_m = (depths[k] - depths[k - 1]) / (distances[k] - distances[k - 1])
+        depth = depths[k - 1] + per_m * (nearest + offset - distances[k - 1])
+        depth += np.float32(0) if in_region else numbers[0] * length
+        light[k] = per_m * exponential(-depth) * lit
+    quarter, share = np.float32(np.pi / 2), one / (np.float32(4 * np.pi) * b)
+    before = _sum_to(angles[0] + quarter, sums)
+    for k in range(1, count):
+        after = _sum_to(angles[k] + quarter, sums)
+        light[k] *= share * (after - before)
+        before = after
+
+
+@numba.njit(error_model="numpy")
+@no_type_check
+def _sum_slices(ray, lamp, depths, distances, numbers, sums, angles, light):
     """Write the light of one lamp, over its intensity, up to each slice; returns False if there is none."""
     count = len(distances)
     nearest = ray[0] * lamp[0] + ray[1] * lamp[1] + ray[2] * lamp[2]
@@ -261,28 +325,42 @@ def _sum_slices(ray, lamp, depths, distances, numbers, sums, light):
     if lit_first >= lit_last:
         light[:] = 0
         return False
-    light[0] = 0
-    before, total = np.arctan2(-nearest, b), np.float32(0)
+    _scatter_slices(ray, lamp, nearest, b, depths, distances, numbers, sums, angles, light)
+    light[0] = total = np.float32(0)
     for k in range(1, count):
-        after = np.arctan2(distances[k] - nearest, b)
+        before, after = angles[k - 1], angles[k]
         first, last = max(before, lit_first), min(after, lit_last)
         if last > first:
-            per_m = (depths[k] - depths[k - 1]) / (distances[k] - distances[k - 1])
-            steps = np.int32(np.ceil((last - first) / longest))
-            start = (first, depths[k - 1], distances[k - 1])
-            if first > before:
-                start = _place(first, nearest, b, distances[k - 1], distances[k], depths[k - 1], per_m)
-            for step in range(1, steps + 1):
-                if step == steps and last == after:
-                    end = (last, depths[k], distances[k])
-                else:
-                    angle = first + (last - first) * np.float32(step) / np.float32(steps)
-                    end = _place(angle, nearest, b, distances[k - 1], distances[k], depths[k - 1], per_m)
-                total += _scattered(ray, lamp, nearest, b, start, end, per_m, numbers, sums)
-                start = end
-        before = after
+            if first == before and last == after and after - before <= longest and numbers[32] == 0:
+                total += light[k]
+            else:
+                total += _scatter_slice(
+                    ray, lamp, nearest, b, (before, first, last, after), longest, depths, distances, k, numbers, sums
+                )
         light[k] = total
     return True
+
+
+@numba.njit(error_model="numpy")
+@no_type_check
+def _scatter_slice(ray, lamp, nearest, b, limits, longest, depths, distances, k, numbers, sums):
+    """Light of one lamp, over its intensity, that a slice scatters between two angles, in as many steps as it takes."""
+    before, first, last, after = limits
+    total = np.float32(0)
+    per_m = (depths[k] - depths[k - 1]) / (distances[k] - distances[k - 1])
+    steps = np.int32(np.ceil((last - first) / longest))
+    start = (first, depths[k - 1], distances[k - 1])
+    if first > before:
+        start = _place(first, nearest, b, distances[k - 1], distances[k], depths[k - 1], per_m)
+    for step in range(1, steps + 1):
+        if step == steps and last == after:
+            end = (last, depths[k], distances[k])
+        else:
+            angle = first + (last - first) * np.float32(step) / np.float32(steps)
+            end = _place(angle, nearest, b, distances[k - 1], distances[k], depths[k - 1], per_m)
+        total += _scattered(ray, lamp, nearest, b, start, end, per_m, numbers, sums)
+        start = end
+    return total
 
 
 @kernel(parallel=True, error_model="numpy")
@@ -290,12 +368,12 @@ def _sum_slices(ray, lamp, depths, distances, numbers, sums, light):
 def _fill_blocks(portion, corners, cell_px, intrinsics, lamps, numbers, drawn, sums, distances):
     """Light of each lamp, over its intensity, up to each slice at the corners of blocks of cells."""
     for row in range_of(portion, corners.shape[0]):
-        depths = np.empty(len(distances), np.float32)
+        depths, angles = np.empty(len(distances), np.float32), np.empty(len(distances), np.float32)
         for column in range(corners.shape[1]):
             ray = _depths(column * BLOCK, row * BLOCK, cell_px, intrinsics, numbers, drawn, distances, depths)
             for i in range(len(lamps)):
                 if lamps[i, 9] < NARROW:
-                    _sum_slices(ray, lamps[i], depths, distances, numbers, sums, corners[row, column, i])
+                    _sum_slices(ray, lamps[i], depths, distances, numbers, sums, angles, corners[row, column, i])
 
 
 @numba.njit(forceinline=True, error_model="numpy")
@@ -309,7 +387,9 @@ def _mean_of_corners(corners, row, column, i, k):
 
 @numba.njit(error_model="numpy")
 @no_type_check
-def _is_smooth(corners, row, column, i, ray, lamp, depths, distances, numbers, sums, light, unseen, cell_px, focal_px):
+def _is_smooth(
+    corners, row, column, i, ray, lamp, depths, distances, numbers, sums, angles, light, unseen, cell_px, focal_px
+):  # fmt: skip
     """Compare the light of a lamp in the middle of a block with the mean at its corners; true if they agree.
 
     `unseen` is the error that is left to all lamps up to each slice; it is used up.
@@ -325,7 +405,7 @@ def _is_smooth(corners, row, column, i, ray, lamp, depths, distances, numbers, s
         return True
     if lamp[9] <= -1 and (nearest <= 0 or square > np.float32(FAR_APART * FAR_APART) * block_m * block_m):
         return True
-    _sum_slices(ray, lamp, depths, distances, numbers, sums, light)
+    _sum_slices(ray, lamp, depths, distances, numbers, sums, angles, light)
     for k in range(1, len(distances)):
         light[k] = lamp[16] * abs(light[k] - _mean_of_corners(corners, row, column, i, k))
         if light[k] > unseen[k]:
@@ -346,7 +426,7 @@ def _fill(portion, table, corners, cell_px, intrinsics, lamps, numbers, drawn, s
     focal_px = np.sqrt(intrinsics[0] * intrinsics[1])
     half = np.float32(BLOCK // 2)
     for block in range_of(portion, corners.shape[0] - 1):
-        depths, light = np.empty(count, np.float32), np.empty(count, np.float32)
+        depths, angles, light = np.empty(count, np.float32), np.empty(count, np.float32), np.empty(count, np.float32)
         unseen, smooth = np.empty(count, np.float32), np.empty((2, 2, count, 3), np.float32)
         rough = np.empty(len(lamps), np.int32)
         for across in range(corners.shape[1] - 1):
@@ -363,8 +443,8 @@ def _fill(portion, table, corners, cell_px, intrinsics, lamps, numbers, drawn, s
             found = 0
             for i in range(len(lamps)):
                 if _is_smooth(
-                    corners, block, across, i, ray, lamps[i], depths, distances, numbers, sums, light, unseen,
-                    cell_px, focal_px,
+                    corners, block, across, i, ray, lamps[i], depths, distances, numbers, sums, angles, light,
+                    unseen, cell_px, focal_px,
                 ):  # fmt: skip
                     for down in range(2):
                         for right in range(2):
@@ -389,7 +469,7 @@ def _fill(portion, table, corners, cell_px, intrinsics, lamps, numbers, drawn, s
                     ray = _depths(column, row, cell_px, intrinsics, numbers, drawn, distances, depths)
                     for at in range(found):
                         i = rough[at]
-                        if _sum_slices(ray, lamps[i], depths, distances, numbers, sums, light):
+                        if _sum_slices(ray, lamps[i], depths, distances, numbers, sums, angles, light):
                             for k in range(1, count):
                                 for channel in range(3):
                                     table[row, column, k, channel] += light[k] * lamps[i, 6 + channel]
@@ -422,58 +502,83 @@ def _up_to(ray, distance, lamp, nearest, b, numbers, drawn, sums):
 
 @numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
-def _looked_up(table, column, row, slice_at, channel):
+def _looked_up(table, column, row, slice_at):
     """Trilinear interpolation in the table."""
-    x = min(max(np.int32(column), np.int32(0)), np.int32(table.shape[1] - 2))
-    y = min(max(np.int32(row), np.int32(0)), np.int32(table.shape[0] - 2))
-    z = min(max(np.int32(slice_at), np.int32(0)), np.int32(table.shape[2] - 2))
+    x = min(max(np.int32(0), np.int32(column)), np.int32(table.shape[1] - 2))
+    y = min(max(np.int32(0), np.int32(row)), np.int32(table.shape[0] - 2))
+    z = min(max(np.int32(0), np.int32(slice_at)), np.int32(table.shape[2] - 2))
     u, v, w = column - np.float32(x), row - np.float32(y), slice_at - np.float32(z)
-    total = np.float32(0)
-    for k in range(2):
-        share = w if k == 1 else np.float32(1) - w
-        near = (1 - u) * table[y, x, z + k, channel] + u * table[y, x + 1, z + k, channel]
-        far = (1 - u) * table[y + 1, x, z + k, channel] + u * table[y + 1, x + 1, z + k, channel]
-        total += share * ((1 - v) * near + v * far)
-    return total
+    i, j, k = np.uint64(y), np.uint64(x), np.uint64(z)
+    red = green = blue = np.float32(0)
+    for down in range(2):
+        for right in range(2):
+            share = (v if down == 1 else 1 - v) * (u if right == 1 else 1 - u)
+            m, n, far = i + np.uint64(down), j + np.uint64(right), k + np.uint64(1)
+            red += share * (table[m, n, k, 0] + w * (table[m, n, far, 0] - table[m, n, k, 0]))
+            green += share * (table[m, n, k, 1] + w * (table[m, n, far, 1] - table[m, n, k, 1]))
+            blue += share * (table[m, n, k, 2] + w * (table[m, n, far, 2] - table[m, n, k, 2]))
+    return red, green, blue
+
+
+@numba.njit(forceinline=True, error_model="numpy")
+@no_type_check
+def _rest(x, y, z, distance, light, lamps, found, numbers, drawn, sums):
+    """Light along a unit ray up to a distance beyond that in the table, where it passes near one of the `found` lamps.
+
+    `light` is the brightest channel of that in the table.
+    """
+    red = green = blue = np.float32(0)
+    unseen = np.float32(UNSEEN) * light
+    bound = numbers[0] * sums[ANGLES - 1] / np.float32(4 * np.pi)
+    for i in range(found):
+        nearest = x * lamps[i, 0] + y * lamps[i, 1] + z * lamps[i, 2]
+        square = max(lamps[i, 17] * lamps[i, 17] - nearest * nearest, np.float32(0))
+        floor = lamps[i, 11] * lamps[i, 11]
+        reach = square / (np.float32(REACH * REACH) * floor)
+        if nearest <= 0 or reach >= 1:
+            continue
+        b = max(np.sqrt(square), lamps[i, 12])
+        soft = np.sqrt(np.sqrt(square * square + floor * floor))
+        at_most = lamps[i, 16] * bound * (np.float32(1) / b - np.float32(1) / soft)
+        if at_most < unseen:
+            unseen -= at_most
+            continue
+        rest = _nearer((x, y, z), distance, lamps[i], nearest, b, soft, numbers, drawn, sums)
+        fades = min((np.float32(1) - reach) * np.float32(4), np.float32(1))
+        rest *= fades * fades * (np.float32(3) - np.float32(2) * fades)
+        red += rest * lamps[i, 6]
+        green += rest * lamps[i, 7]
+        blue += rest * lamps[i, 8]
+    return red, green, blue
 
 
 @numba.njit(error_model="numpy")
 @no_type_check
-def scattered_light(column, row, distance, light, table, cell_px, intrinsics, lamps, numbers, drawn, sums):
-    """Write to `light` the linear light that reaches a point of the image (px) from up to a distance (m)."""
-    fx, fy, cx, cy = intrinsics
-    slice_at = distance / (distance + np.float32(SLICE_SCALE_M)) * np.float32(SLICES)
-    for channel in range(3):
-        light[channel] = _looked_up(table, column / cell_px, row / cell_px, slice_at, channel)
-    x, y = (column - cx) / fx, (row - cy) / fy
-    scale = np.float32(1) / np.sqrt(x * x + y * y + np.float32(1))
-    ray = (x * scale, y * scale, scale)
-    unseen = np.float32(UNSEEN) * max(light[0], light[1], light[2])
-    bound = numbers[0] * sums[ANGLES - 1] / np.float32(4 * np.pi)
-    for i in range(len(lamps)):
-        lamp = lamps[i]
-        nearest = ray[0] * lamp[0] + ray[1] * lamp[1] + ray[2] * lamp[2]
-        if nearest <= 0:
-            continue
-        square = max(lamp[17] * lamp[17] - nearest * nearest, np.float32(0))
-        floor = lamp[11] * lamp[11]
-        reach = square / (np.float32(REACH * REACH) * floor)
-        if reach >= 1:
-            continue
-        b = max(np.sqrt(square), lamp[12])
-        soft = np.sqrt(np.sqrt(square * square + floor * floor))
-        at_most = lamp[16] * bound * (np.float32(1) / b - np.float32(1) / soft)
-        if at_most < unseen:
-            unseen -= at_most
-            continue
-        rest = _up_to(ray, distance, lamp, nearest, b, numbers, drawn, sums)
-        rest -= _up_to(ray, distance, lamp, nearest, soft, numbers, drawn, sums)
-        fades = min((np.float32(1) - reach) * np.float32(4), np.float32(1))
-        rest *= fades * fades * (np.float32(3) - np.float32(2) * fades)
-        for channel in range(3):
-            light[channel] += rest * lamp[6 + channel]
-    for channel in range(3):
-        light[channel] = max(light[channel], np.float32(0))
+def _nearer(ray, distance, lamp, nearest, b, soft, numbers, drawn, sums):
+    """Light of one lamp, over its intensity, at its distance b beyond that at the distance `soft` of the table."""
+    there = _up_to(ray, distance, lamp, nearest, b, numbers, drawn, sums)
+    return there - _up_to(ray, distance, lamp, nearest, soft, numbers, drawn, sums)
+
+
+@numba.njit(error_model="numpy")
+@no_type_check
+def _light_row(shares, distances, places, table, light):
+    """Look up the light of a row's pixels at `places` (cells) up to a scene's distances, and to infinity for the sky.
+
+    A loop of its own, since LLVM makes five times as much of it alone as around what few pixels need.
+    """
+    one, far = np.float32(1), np.float32(FAR_M / (FAR_M + SLICE_SCALE_M) * SLICES)
+    for column in range(len(shares)):
+        at = distances[column] / (distances[column] + np.float32(SLICE_SCALE_M)) * np.float32(SLICES)
+        red, green, blue = _looked_up(table, places[column, 0], places[column, 1], at)
+        light[column, 0], light[column, 1], light[column, 2] = red, green, blue
+    for column in range(len(shares)):
+        if shares[column] < one:
+            red, green, blue = _looked_up(table, places[column, 0], places[column, 1], far)
+            share, rest = shares[column], one - shares[column]
+            light[column, 0] = share * light[column, 0] + rest * red
+            light[column, 1] = share * light[column, 1] + rest * green
+            light[column, 2] = share * light[column, 2] + rest * blue
 
 
 def share_of_depth(depth_m: Float32[np.ndarray, "*n"]) -> Float32[np.ndarray, "*n"]:
@@ -526,35 +631,64 @@ def _lamps_near(x, y, intrinsics, lamps, near):
     return found
 
 
+@numba.njit(forceinline=True, error_model="numpy")
+@no_type_check
+def _scene_before(weight, depth_share, slope):
+    """Share of the scene in a pixel, and its distance (m) along a ray that has this slope to the axis."""
+    one = np.float32(1)
+    share = min(max(weight, np.float32(0)), one)
+    if share <= np.float32(NO_WEIGHT):
+        return np.float32(0), np.float32(FAR_M)
+    mean = min(depth_share / weight, np.float32(1 - 1e-6))
+    distance = min(slope * np.float32(SLICE_SCALE_M) * mean / (one - mean), np.float32(FAR_M))
+    return (one if share > np.float32(OPAQUE) else share), distance
+
+
+@numba.njit(forceinline=True, error_model="numpy")
+@no_type_check
+def _add_rest(x, y, z, share, distance, light, column, lamps, found, numbers, drawn, sums):
+    """Add to a pixel's light that of near lamps, before the scene and before the sky beside it, and bound it by 0."""
+    zero, rest = np.float32(0), np.float32(1) - share
+    red, green, blue = light[column, 0], light[column, 1], light[column, 2]
+    brightest = max(red, green, blue)
+    if share > 0:
+        more = _rest(x, y, z, distance, brightest, lamps, found, numbers, drawn, sums)
+        red, green, blue = red + share * more[0], green + share * more[1], blue + share * more[2]
+    if rest > 0:
+        more = _rest(x, y, z, np.float32(FAR_M), brightest, lamps, found, numbers, drawn, sums)
+        red, green, blue = red + rest * more[0], green + rest * more[1], blue + rest * more[2]
+    light[column, 0], light[column, 1], light[column, 2] = max(red, zero), max(green, zero), max(blue, zero)
+
+
 @kernel(parallel=True, error_model="numpy")
 @no_type_check
 def _light_in_picture(
     portion, depth_share, weight, image, table, cell_px, intrinsics, lamps, numbers, drawn, sums
 ):  # fmt: skip
     height, width = weight.shape
-    one, far = np.float32(1), np.float32(FAR_M)
+    one, half = np.float32(1), np.float32(0.5)
+    fx, fy, cx, cy = intrinsics
+    shares, distances = np.empty(width, np.float32), np.empty(width, np.float32)
+    places, near = np.empty((width, 2), np.float32), np.empty_like(lamps)
     for row in range_of(portion, height):
-        light, near = np.empty(3, np.float32), np.empty_like(lamps)
-        found = 0
+        y, light = np.float32(row) + half, image[row]
+        down = (y - cy) / fy
         for column in range(width):
-            x, y = np.float32(column) + np.float32(0.5), np.float32(row) + np.float32(0.5)
-            if column % SEGMENT_PX == 0:
-                found = _lamps_near(x + np.float32(SEGMENT_PX // 2), y, intrinsics, lamps, near)
-            across, down = (x - intrinsics[2]) / intrinsics[0], (y - intrinsics[3]) / intrinsics[1]
-            share = max(weight[row, column], np.float32(0))
-            share = one if share > np.float32(OPAQUE) else share
-            image[row, column] = 0
-            if share > np.float32(NO_WEIGHT):
-                slope = np.sqrt(one + across * across + down * down)
-                mean = min(depth_share[row, column] / weight[row, column], np.float32(1 - 1e-6))
-                distance = min(slope * np.float32(SLICE_SCALE_M) * mean / (one - mean), far)
-                scattered_light(x, y, distance, light, table, cell_px, intrinsics, near[:found], numbers, drawn, sums)
-                for channel in range(3):
-                    image[row, column, channel] = share * light[channel]
-            if share < one:
-                scattered_light(x, y, far, light, table, cell_px, intrinsics, near[:found], numbers, drawn, sums)
-                for channel in range(3):
-                    image[row, column, channel] += (one - share) * light[channel]
+            x = np.float32(column) + half
+            across = (x - cx) / fx
+            slope = np.sqrt(one + across * across + down * down)
+            shares[column], distances[column] = _scene_before(weight[row, column], depth_share[row, column], slope)
+            places[column, 0], places[column, 1] = x / cell_px, y / cell_px
+        _light_row(shares, distances, places, table, light)
+        for first in range(0, width, SEGMENT_PX):
+            found = _lamps_near(np.float32(first + SEGMENT_PX // 2) + half, y, intrinsics, lamps, near)
+            for column in range(first, min(first + SEGMENT_PX, width) if found > 0 else first):
+                across = (np.float32(column) + half - cx) / fx
+                scale = one / np.sqrt(one + across * across + down * down)
+                _add_rest(
+                    scale * across, scale * down, scale, shares[column], distances[column], light, column, near,
+                    found, numbers, drawn, sums,
+                )  # fmt: skip
 
 
 @kernel(parallel=True, error_model="numpy")
@@ -564,28 +698,31 @@ def _light_along_rays(
 ):  # fmt: skip
     """Write the light of the pixels of a lens, each looked up at its ray's place in the table's pinhole picture."""
     height, width = weight.shape
-    one, far, flat = np.float32(1), np.float32(FAR_M), np.float32(0.1)
+    one, flat = np.float32(1), np.float32(0.1)
+    fx, fy, cx, cy = intrinsics
     right = (np.float32(table.shape[1] - 1)) * cell_px
     bottom = (np.float32(table.shape[0] - 1)) * cell_px
+    shares, distances, places = (
+        np.empty(width, np.float32),
+        np.empty(width, np.float32),
+        np.empty((width, 2), np.float32),
+    )
     for row in range_of(portion, height):
-        light = np.empty(3, np.float32)
+        light = image[row]
         for column in range(width):
             z = max(rays[row, column, 2], flat)  # flatter rays have the light at the edge
-            x = min(max(intrinsics[0] * rays[row, column, 0] / z + intrinsics[2], np.float32(0)), right)
-            y = min(max(intrinsics[1] * rays[row, column, 1] / z + intrinsics[3], np.float32(0)), bottom)
-            share = max(weight[row, column], np.float32(0))
-            share = one if share > np.float32(OPAQUE) else share
-            image[row, column] = 0
-            if share > np.float32(NO_WEIGHT):
-                mean = min(depth_share[row, column] / weight[row, column], np.float32(1 - 1e-6))
-                distance = min(np.float32(SLICE_SCALE_M) * mean / (one - mean), far)
-                scattered_light(x, y, distance, light, table, cell_px, intrinsics, lamps, numbers, drawn, sums)
-                for channel in range(3):
-                    image[row, column, channel] = share * light[channel]
-            if share < one:
-                scattered_light(x, y, far, light, table, cell_px, intrinsics, lamps, numbers, drawn, sums)
-                for channel in range(3):
-                    image[row, column, channel] += (one - share) * light[channel]
+            x = min(max(fx * rays[row, column, 0] / z + cx, np.float32(0)), right)
+            y = min(max(fy * rays[row, column, 1] / z + cy, np.float32(0)), bottom)
+            shares[column], distances[column] = _scene_before(weight[row, column], depth_share[row, column], one)
+            places[column, 0], places[column, 1] = x / cell_px, y / cell_px
+        _light_row(shares, distances, places, table, light)
+        for column in range(width):
+            across, down = (places[column, 0] * cell_px - cx) / fx, (places[column, 1] * cell_px - cy) / fy
+            scale = one / np.sqrt(one + across * across + down * down)
+            _add_rest(
+                scale * across, scale * down, scale, shares[column], distances[column], light, column, lamps,
+                len(lamps), numbers, drawn, sums,
+            )  # fmt: skip
 
 
 # Drops

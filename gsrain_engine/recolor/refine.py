@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from ..fast_math import harmonics
 from ..render.autodiff.differentiable import render_gaussians
-from ..render.cpu.fast_math import harmonics
 from ..render.cpu.projection import view_directions
 from ..scene.gaussians import Gaussians
 from ..scene.geometry import quaternions_from_matrices

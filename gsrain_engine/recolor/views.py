@@ -10,8 +10,8 @@ from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 from ..appearance.normals import normals_from_depth, world_points
 from ..datasets.capture import Capture
 from ..datasets.undistort import undistort_frame
+from ..fast_math import harmonics
 from ..render.cpu.compositing import color_operator, expected
-from ..render.cpu.fast_math import harmonics
 from ..render.cpu.projection import view_directions
 from ..scene.camera import Camera
 from ..scene.scene import Scene

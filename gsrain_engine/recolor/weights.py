@@ -10,9 +10,9 @@ from llvmlite import ir
 from numba.core import types
 from numba.extending import intrinsic
 
+from ..fast_math import FAST
 from ..kernels import kernel, range_of
 from ..render.cpu.compositing import ColorOperator
-from ..render.cpu.fast_math import FAST
 from ..render.cpu.tiles import TILE, absorb, alpha_at, columns_of, nothing, walk_column, walk_tiles
 
 SplatColors = Float32[np.ndarray, "m 3"]

@@ -1,7 +1,10 @@
 """The wheel holds everything that the program reads."""
 
 import re
+import subprocess
+import sys
 import tomllib
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -39,6 +42,27 @@ def test_the_wheel_holds_every_file_of_every_package_and_nothing_else(in_wheel):
     }  # which What's new shows
     assert wanted - in_wheel == set(), "left out of the wheel (by .gitignore?)"
     assert {path.split("/")[0] for path in in_wheel} == set(PACKAGES)
+
+
+def test_a_wheel_may_bring_kernels_and_is_named_by_what_they_are_for(tmp_path, monkeypatch):
+    builder = pytest.importorskip("hatchling.builders.wheel", reason="hatchling is missing (extra dev)")
+
+    def compiled(command, *, env=None, **_options):
+        if env is not None:
+            assert env["NUMBA_CPU_NAME"] == "a processor" and env["NUMBA_CPU_FEATURES"] == ""
+            for name in ("rain/a.py311.nbi", "rain/a.py311.1.nbc", "rain/a.lock", "x.complete", "x.compiling"):
+                file = Path(env["NUMBA_CACHE_DIR"], name)
+                file.parent.mkdir(exist_ok=True)
+                file.write_bytes(b"code")
+        return subprocess.CompletedProcess(command, 0, "a processor\n", "")
+
+    monkeypatch.setattr(subprocess, "run", compiled)
+    monkeypatch.setenv("GSRAIN_COMPILED_KERNELS", "1")
+    made = Path(next(builder.WheelBuilder(str(REPOSITORY)).build(directory=str(tmp_path), versions=["standard"])))
+    assert re.fullmatch(rf"gsrain-[\d.]+-cp3{sys.version_info.minor}-none-manylinux_2_28_\w+\.whl", made.name)
+    names = {each for each in zipfile.ZipFile(made).namelist() if "compiled_kernels" in each}
+    folder = "gsrain_engine/compiled_kernels"
+    assert names == {f"{folder}/{each}" for each in ("rain/a.py311.nbi", "rain/a.py311.1.nbc", "x.complete")}
 
 
 def test_data_is_found_in_a_checkout_and_where_it_is_installed(tmp_path, monkeypatch):

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gsrain_engine.fast_math import harmonics
 from gsrain_engine.recolor.solver import TIKHONOV, ColorTarget, apply_normal, evaluate_colors, solve_colors
 from gsrain_engine.recolor.weights import MIN_PIECE, STEP, LazyWeights, StoredWeights, weights_of
 from gsrain_engine.render.cpu.compositing import color_operator
-from gsrain_engine.render.cpu.fast_math import harmonics
 from gsrain_engine.render.cpu.projection import view_directions
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.gaussians import Gaussians

@@ -287,6 +287,19 @@ def test_no_time_passes_where_nothing_happens(editor):
     assert clock.time_s == 1.0
 
 
+def test_time_stands_until_the_renderer_is_ready(editor):
+    rain(editor)
+    viewport, clock = editor.viewport, editor.playback.clock
+    clock.playing = True
+    for name in ("is_compiling", "is_preparing"):
+        setattr(viewport, name, True)
+        editor.tick(0.5)
+        assert (clock.time_s, clock.playing) == (0.0, True)
+        setattr(viewport, name, False)
+    editor.tick(0.5)
+    assert clock.time_s == 0.5
+
+
 def test_kernels_let_the_interface_go_on():
     @kernel(error_model="numpy")
     def double(x):

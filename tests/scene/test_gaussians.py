@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
-from gsrain_engine.render.cpu.fast_math import harmonics
+from gsrain_engine.fast_math import harmonics
 from gsrain_engine.scene.flags import BitMask, mask_union
 from gsrain_engine.scene.gaussians import (
     COEFFICIENTS_OF_DEGREE,

@@ -6,9 +6,9 @@ import numba
 import numpy as np
 from jaxtyping import Float
 
+from ...fast_math import FAST
 from ...kernels import kernel
 from ..cpu.compositing import add_lanes, add_pairs, composite
-from ..cpu.fast_math import FAST
 from ..cpu.tiles import MAX_ALPHA, TILE, TileLists, absorb, alpha_at, nothing, walk_pixels, walk_tiles
 
 _SUMS = 10

@@ -13,6 +13,7 @@ import numba
 import numpy as np
 from jaxtyping import Float32
 
+from ...fast_math import FAST
 from ...kernels import kernel
 from ...rain.medium import RainMedium
 from ...scene.camera import Camera
@@ -36,7 +37,6 @@ from .compositing import (
     sky_layer,
     store_rain,
 )
-from .fast_math import FAST
 from .projection import project
 from .splats import Splats
 from .tiles import TILE, TileLists, absorb, bin_into_tiles, is_rain, walk_columns, walk_rows

@@ -8,12 +8,12 @@ import numba
 import numpy as np
 from jaxtyping import Float, Float32, Int32
 
+from ...fast_math import FAST, exponential, power, stack_lines
 from ...kernels import kernel, range_of
 from ...rain.medium import RainMedium, depth_behind_scene, less_drawn, without_drawn
 from ...scene.camera import Camera
 from ...scene.geometry import linear_to_srgb
 from ...scene.scene import DrawItem
-from .fast_math import FAST, exponential, power, stack_lines
 from .projection import project
 from .splats import MIN_SCENE_CUT, Splats
 from .tiles import (

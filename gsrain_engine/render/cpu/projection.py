@@ -7,11 +7,11 @@ import numba
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
 
+from ...fast_math import stack_lines
 from ...kernels import kernel, range_of
 from ...scene.camera import Camera
 from ...scene.scene import DrawItem
 from .block_cache import BlockCaches
-from .fast_math import stack_lines
 from .lens_projection import RollingPose, lens_candidates, lens_view, project_through_lens, rolling_pose
 from .splats import (
     CHUNK,

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float32, Int32, UInt8
 
 from ...choices import RenderMode
+from ...fast_math import FAST
 from ...kernels import kernel, range_of
 from ...malloc_tuning import tune_malloc
 from ...rain.frame import RainFrame
@@ -44,7 +45,6 @@ from .compositing import (
     film_of_splats,
     sky_layer,
 )
-from .fast_math import FAST
 from .projection import in_camera, project
 from .splats import MIN_SCENE_CUT, TINT, TINT_SHARE, Splats, rotation_columns
 from .tiles import TILE, TileLists, bin_into_tiles, log_alpha, nothing, walk_pixels, walk_tiles
@@ -100,7 +100,9 @@ class CpuRenderer:
             sky = sky_layer(medium, camera) if medium is not None else NO_SKY
             film = None if mirror is None else Film.on(film_of_splats(splats, parts), tiles)
             if rain is not None and lit is not None:
-                self._frame = _draw_lit(splats, tiles, camera, rain, lit, sky, film, with_depth=with_depth)
+                self._frame = _draw_lit(
+                    splats, tiles, camera, rain, lit, sky, film, has_drops=bool(falling), with_depth=with_depth
+                )
             elif rain is not None and falling and rain.is_linear:
                 rgba, weighted, weight = composite_in_rain(
                     splats.shapes, splats.colors, rain.light_linear, tiles, sky, film=film, with_alpha=with_depth
@@ -188,10 +190,7 @@ def _draw_mode(mode: RenderMode, splats: Splats, tiles: TileLists, film: Film | 
     depth = None
     rgba = np.empty((tiles.height, tiles.width, 4), np.float32)
     if with_depth or mode not in ("ellipsoids", "overdraw"):
-        if film is None:
-            rgba, weighted = composite(splats.shapes, splats.colors, tiles)
-        else:
-            rgba, weighted = composite_wet(splats.shapes, splats.colors, tiles, film)
+        rgba, weighted = _composite_dry(splats.shapes, splats.colors, tiles, film)
         depth = expected(weighted, rgba[..., 3], MIN_WEIGHT) if with_depth or mode == "depth" else None
     if mode == "ellipsoids":
         _cover(tiles, splats.shapes, splats.colors, rgba)
@@ -214,20 +213,40 @@ def _draw_lit(
     sky: SkyLayer,
     film: Film | None,
     *,
+    has_drops: bool,
     with_depth: bool,
 ) -> Frame:
     """Draw scene and rain with the light of lamps; `sky` is the layer of the medium."""
-    light = np.zeros((tiles.height, tiles.width, 3), np.float32)
     channels = splats.colors.copy()
     channels[:, 3] = share_of_depth(channels[:, 3])
-    rgba, shares, weight = composite_in_rain(splats.shapes, channels, rain.light_linear, tiles, sky, light, film)
+    light: Float32[np.ndarray, "h w 3"] | None = None
+    if has_drops:
+        light = np.empty((tiles.height, tiles.width, 3), np.float32)
+        rgba, shares, weight = composite_in_rain(splats.shapes, channels, rain.light_linear, tiles, sky, light, film)
+    else:
+        rgba, shares = _composite_dry(splats.shapes, channels, tiles, film)
+        weight = rgba[..., 3].copy()
+        if len(sky.shares) > 0:
+            rgba += (1 - rgba[..., 3:]) * sky.rgba
     if len(sky.shares) > 0:
-        light += light_in_picture(lit, shares, weight, None if camera.lens is None else camera.rays)
-    add_light(rgba, light)
+        medium = light_in_picture(lit, shares, weight, None if camera.lens is None else camera.rays)
+        light = medium if light is None else np.add(light, medium, out=light)
+    if light is not None:
+        add_light(rgba, light)
     if not with_depth:
         return Frame(rgba)
-    _, weighted, weight = composite_in_rain(splats.shapes, splats.colors, rain.light_linear, tiles)
+    if has_drops:
+        _, weighted, weight = composite_in_rain(splats.shapes, splats.colors, rain.light_linear, tiles)
+    else:
+        _, weighted = composite(splats.shapes, splats.colors, tiles)
     return Frame(rgba, expected(weighted, weight, MIN_WEIGHT))
+
+
+def _composite_dry(
+    shapes: Float32[np.ndarray, "m 8"], channels: Float32[np.ndarray, "m 4"], tiles: TileLists, film: Film | None
+) -> tuple[Float32[np.ndarray, "h w 4"], Float32[np.ndarray, "h w"]]:
+    """Blend a scene without drops: the image, and its fourth channel."""
+    return composite(shapes, channels, tiles) if film is None else composite_wet(shapes, channels, tiles, film)
 
 
 def _within_lens(frame: Frame, camera: Camera) -> Frame:

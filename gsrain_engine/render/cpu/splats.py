@@ -7,11 +7,11 @@ import numba
 import numpy as np
 from jaxtyping import Float, Float32, Float64, Int32, Int64, UInt32
 
+from ...fast_math import sh_basis, stack_lines
 from ...kernels import kernel, range_of
 from ...scene.camera import Camera
 from ...scene.flags import BitMask
 from ...scene.scene import DrawItem
-from .fast_math import sh_basis, stack_lines
 
 NEAR_M = 0.2  # Gaussians with nearer centers are skipped, as in the reference rasterizer
 DILATION_PX2 = 0.3  # added to the 2D covariance: the pixel's own footprint (3DGS, Kerbl et al. 2023)

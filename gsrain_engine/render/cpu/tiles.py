@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Float32, Int32, Int64
 from numba.cpython.unsafe.numbers import trailing_zeros
 
+from ...fast_math import FAST, ROOT, exponential_of_root, stack_lines
 from ...kernels import kernel, range_of
-from .fast_math import FAST, ROOT, exponential_of_root, stack_lines
 from .splats import MIN_SCENE_CUT
 
 TILE = 16  # side of a tile in pixels: a column of it is one 512-bit or two 256-bit vectors of float32

@@ -27,7 +27,7 @@ from ..level_of_detail import LodCut, subset_items
 from ..renderer import Color, Renderer
 from .base import Factor, FrameParts
 
-SHARE, FAST_SHARE = 0.35, 0.12
+SHARE, FAST_SHARE = 0.2, 0.12
 """Shares of the Gaussians of a member in the mirror image, which has an eighth of the picture's resolution: of pictures
 that are exact, and of fast ones."""
 _FEW = 20_000  # Gaussians of a member that is reflected whole

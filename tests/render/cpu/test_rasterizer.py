@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from gsrain_engine.fast_math import harmonics
 from gsrain_engine.render.cpu.compositing import color_operator
-from gsrain_engine.render.cpu.fast_math import harmonics
 from gsrain_engine.render.cpu.projection import project, view_directions
 from gsrain_engine.render.cpu.splats import FEW, nearest_first
 from gsrain_engine.render.cpu.tiles import TILE, bin_into_tiles

@@ -9,7 +9,7 @@ from llvmlite import ir
 from numba import extending, types
 from numba.core import cgutils
 
-from ...kernels import kernel, range_of
+from .kernels import kernel, range_of
 
 FAST = {"contract", "nsz", "arcp"}
 """Rounding freedom of the kernels: fused multiply-add and reciprocals, but no change of infinities or order."""
