@@ -29,6 +29,7 @@ _SPACES = {
 }  # fmt: skip
 _FOR_THREADS_S = 0.001  # sleep per frame while threads work: without it they rarely get the interpreter
 _IDLE_FPS = 0.3  # A frame costs 80 ms in software rendering; events wake up the window immediately
+_WAITING_FPS = 3.0  # while what the first picture needs is read and compiled, which needs the processor
 _WATCHING_FPS = 10.0  # frame rate for progress bars while workers run without user input
 _SOFTWARE_FPS = 36.0  # maximum frame rate of a software rasterizer: picture and jobs need the cores, too
 _ACTIVE_S, _ACTIVE_FRAMES = 3.0, 6  # after an event, before a window at rest sleeps
@@ -124,12 +125,13 @@ class Workspace:
         self._captures.update(editor.captures, editor.matching)
         idling = hello_imgui.get_runner_params().fps_idling
         # Poll workers at intervals: frames would take CPU time from them.
-        self._plays = editor.playback.clock.playing and editor.has_time
-        idling.fps_idle = _WATCHING_FPS if editor.jobs.running else _IDLE_FPS
+        waits = editor.awaits_first_picture and viewport.staged is None and not viewport.is_catching_up
+        self._plays = editor.playback.clock.playing and editor.has_time and not editor.awaits_first_picture
+        idling.fps_idle = _WATCHING_FPS if editor.jobs.running else _WAITING_FPS if waits else _IDLE_FPS
         resting = not (editor.is_bringing_in or viewport.budget.is_settling)
         resting = resting and not (editor.rollouts.mosaic.is_behind or is_file_dialog_open())
         idling.time_active_after_last_event = max(_ACTIVE_S, _ACTIVE_FRAMES * self._took_s)
-        idling.enable_idling = resting and self.pictures.is_current and not self._plays
+        idling.enable_idling = waits or (resting and self.pictures.is_current and not self._plays)
         idling.fps_max = 0.0 if self._plays else self.max_fps
         if editor.should_quit:
             hello_imgui.get_runner_params().app_shall_exit = True

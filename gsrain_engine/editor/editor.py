@@ -170,14 +170,19 @@ class Editor:
         waits = self.viewport.staged is not None or self.files.deferred.is_waiting
         return parts or waits or self.busy is not None
 
-    def tick(self, real_s: float) -> None:
-        """Advance time and process finished background work. Once a frame.
+    @property
+    def awaits_first_picture(self) -> bool:
+        """True while the first scene is opened, and until what draws it is ready.
 
-        Time stands until the renderer is ready: pictures of what stands in for it would keep it from that.
+        Time stands: pictures of what stands in for the renderer would take the processor from it.
         """
+        opens_first = self.files.busy is not None and not self.document.scene.gaussian_count
+        return opens_first or self.viewport.is_compiling or self.viewport.is_preparing
+
+    def tick(self, real_s: float) -> None:
+        """Advance time and process finished background work. Once a frame."""
         viewport = self.viewport
-        waits = viewport.is_compiling or viewport.is_preparing
-        self.playback.advance(real_s if self.has_time and not waits else 0.0)
+        self.playback.advance(real_s if self.has_time and not self.awaits_first_picture else 0.0)
         viewport.drawn_preview, viewport.preview = viewport.preview, None
         viewport.following.ride(self.rollouts.displayed_scene, self.playback.clock.time_s, viewport.navigation)
         for part in (

@@ -287,7 +287,7 @@ def test_no_time_passes_where_nothing_happens(editor):
     assert clock.time_s == 1.0
 
 
-def test_time_stands_until_the_renderer_is_ready(editor):
+def test_time_stands_until_the_renderer_is_ready_and_the_first_scene_is_open(editor, monkeypatch):
     rain(editor)
     viewport, clock = editor.viewport, editor.playback.clock
     clock.playing = True
@@ -296,6 +296,10 @@ def test_time_stands_until_the_renderer_is_ready(editor):
         editor.tick(0.5)
         assert (clock.time_s, clock.playing) == (0.0, True)
         setattr(viewport, name, False)
+    monkeypatch.setattr(type(editor.files), "busy", "Opening street")
+    editor.tick(0.5)
+    assert clock.time_s == 0.5  # another scene is watched meanwhile
+    editor.document.edit("Nothing", replace_scene, replace(small_scene(), layers=(), actors=()))
     editor.tick(0.5)
     assert clock.time_s == 0.5
 

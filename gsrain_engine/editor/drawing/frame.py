@@ -118,7 +118,8 @@ class DrawResult:
     def has_news(self) -> bool:
         """True if anything but the present textures has been drawn, found, or is still to come."""
         found = (self.drawn, self.sky, self.picked_color)
-        is_open = self.is_catching_up or self.has_screenshot or self.is_pending_ready or not self.is_settled
+        comes_soon = not (self.is_settled or self.is_preparing)
+        is_open = self.is_catching_up or self.has_screenshot or self.is_pending_ready or comes_soon
         return is_open or bool(self.problems) or any(each is not None for each in found)
 
 
