@@ -92,8 +92,13 @@ def street_surfaces(parameters: StreetParameters | None = None) -> StreetSurface
         "sky": build_sky(layout),
     }
     line, edge_px = ego_camera_line(layout.parameters), layout.parameters.edge_px
-    for name in layers.keys() - {"sky"}:
-        layers[name] = refined(split_at_shadows(layers[name], line, light, edge_px), line, edge_px)
+
+    def fine(name: str) -> Quads:
+        quads = layers[name]
+        return quads if name == "sky" else refined(split_at_shadows(quads, line, light, edge_px), line, edge_px)
+
+    with ThreadPoolExecutor(usable_cores()) as pool:  # most of a layer's time is in functions of NumPy
+        layers = dict(zip(layers, pool.map(fine, layers), strict=True))
     return StreetSurfaces(layout, layers, build_lead(layout.parameters))
 
 
@@ -121,7 +126,7 @@ def scene_of(surfaces: StreetSurfaces, *, sharp: bool = True) -> Scene:
     light, clouds = surfaces.light(), surfaces.light(rainy)
     p = surfaces.layout.parameters
     factors = color_factors(p) if sharp else {}
-    with ThreadPoolExecutor(usable_cores()) as pool:  # most of a layer's time is in functions of NumPy
+    with ThreadPoolExecutor(usable_cores()) as pool:
         made = [pool.submit(_layer, *each, light, clouds, factors.get(each[0])) for each in surfaces.layers.items()]
     layers = tuple(each.result() for each in made)
     is_truck = p.lead == "truck"

@@ -27,7 +27,7 @@ logger = logging.getLogger("gsrain")
 _WIDTH_EM, _MIN_WIDTH_EM = 34.0, 22.0
 _MARGIN = 10.0
 _MAX_ENDED = 3
-_PREPARING = "Until then it does not rain. It takes two minutes on an idle computer, and far longer on a busy one."
+_PREPARING = "Until then it does not rain. It takes a minute or two on an idle computer, and longer on a busy one."
 
 
 def draw_notices(editor: Editor, corner: ImVec2, tools: float, taken: ImVec2, width: int, height: int) -> None:
