@@ -1,4 +1,4 @@
-"""Where compiled Numba kernels lie, in a folder for each state of their sources; the spin count of OpenMP threads."""
+"""Cache of compiled Numba kernels, in a folder for each state of their sources; the spin count of OpenMP threads."""
 
 import hashlib
 import os

@@ -64,17 +64,19 @@ class ParallelKernel:
             self.compiled((0, 1), *arguments)
             return
         count = _PORTIONS_A_THREAD * threads
-        numbers = iter(range(count))
+        numbers, others = iter(range(count)), list[Future[None]]()
 
         def work() -> None:
+            # Each wakes two more, so that little work is done before many threads are awake.
+            for _ in range(min(2, threads - 1 - len(others))):
+                others.append(helpers().submit(work))
             for number in numbers:
                 self.compiled((number, count), *arguments)
 
-        others: list[Future[None]] = [helpers().submit(work) for _ in range(threads - 1)]
         try:
             work()
         finally:
-            for each in others:
+            for each in others:  # which may become more meanwhile
                 if not each.cancel():
                     each.result()
 
