@@ -252,7 +252,7 @@ def _depths(column, row, cell_px, intrinsics, numbers, drawn, distances, depths)
 @numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
 def _angle(x):
-    """Arc tangent to 3e-7, in steps that LLVM vectorizes: that of a quarter of the angle, by its series."""
+    """Arc tangent to 3e-6, in steps that LLVM vectorizes: that of a quarter of the angle, by its series."""
     t = x / (np.float32(1) + np.sqrt(np.float32(1) + x * x))
     t = t / (np.float32(1) + np.sqrt(np.float32(1) + t * t))
     q = t * t
