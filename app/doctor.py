@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 from gsrain_engine import plugins
+from gsrain_engine.compile_cache import has_kernels, shipped_processor
 from gsrain_engine.optional_packages import (
     OPTIONAL_PACKAGES,
     MissingPackageError,
@@ -56,9 +57,9 @@ def doctor(
     check_writable(json)
     if pair is not None and not self_test:
         raise ValueError("--pair is for --self-test")
-    video, threads = _video(), _threads()
+    video, kernels = _video(), _kernels()
     opengl, fastest = find_opengl(), _fastest()
-    needed = [fastest, threads] if is_frozen() else [fastest, video, threads, find_requirements()]
+    needed = [fastest, kernels] if is_frozen() else [fastest, video, kernels, find_requirements()]
     needed = [*needed, find_opencv()]
     needed = [opengl, *needed] if sys.platform == "linux" else needed  # elsewhere the processor draws without it
     tested = find_depth_order()
@@ -187,11 +188,15 @@ def _video() -> Finding:
 
 
 @finding("compiled kernels", "pip install numba")
-def _threads() -> str:
+def _kernels() -> str:
     import numba
 
     assert numba.njit(lambda: 1)() == 1
-    return f"Numba {numba.__version__}, {kernel_threads()} threads"
+    if shipped_processor() is not None:
+        found = "brought by the installation"
+    else:
+        found = "all compiled" if has_kernels() else "to be compiled at first use"
+    return f"Numba {numba.__version__}, {kernel_threads()} threads; {found}"
 
 
 @finding("versions of packages")

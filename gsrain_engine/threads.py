@@ -13,7 +13,8 @@ from typing import TypeVar
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 
-_VARIABLES = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+_KERNEL_THREADS = "NUMBA_NUM_THREADS"
+_VARIABLES = (_KERNEL_THREADS, "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Environment variables with the number of threads of kernels, OpenMP (torch), OpenBLAS (NumPy) and MKL (torch)."""
 
 WORKER_NICENESS = 10
@@ -75,7 +76,13 @@ def _use_one_thread() -> None:
     _own.kernels = 1
 
 
-_own = threading.local()
+class _Own(threading.local):
+    """Settings of each thread."""
+
+    kernels: int | None = None
+
+
+_own = _Own()
 
 
 def kernel_threads() -> int:
@@ -83,22 +90,21 @@ def kernel_threads() -> int:
 
     The default is the number of cores.
     """
-    return getattr(_own, "kernels", None) or _process_threads()
+    return _own.kernels or _process_threads()
 
 
 @cache
 def _process_threads() -> int:
     try:
-        return max(1, int(os.environ[_VARIABLES[0]]))
+        return max(1, int(os.environ[_KERNEL_THREADS]))
     except (KeyError, ValueError):
         return usable_cores()
 
 
 @contextmanager
 def limited_kernels(threads: int) -> Generator[None]:
-    """Kernels that the block calls in this thread use `threads`, where 0 restores the default."""
-    before = getattr(_own, "kernels", None)
-    _own.kernels = threads
+    """Kernels that the block calls in this thread use `threads`, at least 1."""
+    before, _own.kernels = _own.kernels, threads
     try:
         yield
     finally:

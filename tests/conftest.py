@@ -12,7 +12,6 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 import type_checker
-from gsrain_engine.threads import kernel_threads, limited_kernels
 from repository import REPOSITORY
 
 type_checker.check_first_calls()
@@ -125,7 +124,9 @@ def pytest_sessionfinish(session):
 
 @pytest.fixture(autouse=True)
 def _one_thread():
-    # Each test process has a core; tests of more threads set their number.
+    """Use one thread for kernels where each test process has a core; tests of more threads set their number."""
+    from gsrain_engine.threads import kernel_threads, limited_kernels  # after the type checker
+
     with limited_kernels(1 if "PYTEST_XDIST_WORKER" in os.environ else kernel_threads()):
         yield
 

@@ -135,7 +135,6 @@ cache.SHIPPED_KERNELS = Path(sys.argv[1])
 cache.BASELINES[cache.architecture()] = (sys.argv[2], frozenset(sys.argv[3:]))
 import numpy as np
 from numba.core import event
-from gsrain_engine.kernels import KernelCache
 from gsrain_engine.fast_math import harmonics
 with event.install_recorder("numba:compile") as recorder:
     values = harmonics(np.array([[0.6, 0.0, 0.8]], np.float32), 4)

@@ -125,8 +125,9 @@ class Workspace:
         self._captures.update(editor.captures, editor.matching)
         idling = hello_imgui.get_runner_params().fps_idling
         # Poll workers at intervals: frames would take CPU time from them.
-        waits = editor.awaits_first_picture and viewport.staged is None and not viewport.is_catching_up
-        self._plays = editor.playback.clock.playing and editor.has_time and not editor.awaits_first_picture
+        awaits = editor.awaits_first_picture
+        waits = awaits and viewport.staged is None and not viewport.is_catching_up
+        self._plays = editor.playback.clock.playing and editor.has_time and not awaits
         idling.fps_idle = _WATCHING_FPS if editor.jobs.running else _WAITING_FPS if waits else _IDLE_FPS
         resting = not (editor.is_bringing_in or viewport.budget.is_settling)
         resting = resting and not (editor.rollouts.mosaic.is_behind or is_file_dialog_open())

@@ -140,19 +140,63 @@ def lamp_rows(
 
 @numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
-def _cone(cosine, lamp):
-    """Share of a lamp's light at the cosine of an angle from its axis: a smoothstep."""
-    at = (cosine - lamp[9]) / max(lamp[10] - lamp[9], np.float32(1e-6))
-    at = min(max(at, np.float32(0)), np.float32(1))
+def _cone(cosine, outer, per_cosine):
+    """Share of a lamp's light at the cosine of an angle from its axis: a smoothstep from the cone's edge on."""
+    at = min(max((cosine - outer) * per_cosine, np.float32(0)), np.float32(1))
     return at * at * (np.float32(3) - np.float32(2) * at)
+
+
+@numba.njit(forceinline=True, error_model="numpy")
+@no_type_check
+def _edge(lamp):
+    """Cosine of the cone's edge, and one over the cosines from there to full light."""
+    return lamp[9], np.float32(1) / max(lamp[10] - lamp[9], np.float32(1e-6))
+
+
+@numba.njit(forceinline=True, error_model="numpy")
+@no_type_check
+def _axis(ray, lamp, nearest, b):
+    """Parts of a lamp's axis along a ray, and across it, away from the lamp."""
+    along = lamp[3] * ray[0] + lamp[4] * ray[1] + lamp[5] * ray[2]
+    return along, (nearest * along - (lamp[3] * lamp[0] + lamp[4] * lamp[1] + lamp[5] * lamp[2])) / b
+
+
+@numba.njit(forceinline=True, error_model="numpy")
+@no_type_check
+def _middle(start, end, b):
+    """Middle, by angle, of a piece of a ray that begins and ends so far behind its nearest point to a lamp.
+
+    The ends' unit vectors halved, without a tangent. Returns its place, and its distance from the lamp.
+    """
+    near, far = np.sqrt(start * start + b * b), np.sqrt(end * end + b * b)
+    offset = min(max((start * far + end * near) / (near + far), start), end)
+    return offset, np.sqrt(b * b + offset * offset)
+
+
+@numba.njit(forceinline=True, error_model="numpy")
+@no_type_check
+def _lit_share(offset, length, b, angle, along, across, outer, per_cosine):
+    """Mean share of a lamp's light on a piece of a ray of at most half a radian, by Gauss's three points.
+
+    The cosine from the lamp's axis is a sine of the angle along the ray. Arguments as `_middle`, `_axis` and `_edge`
+    return them.
+    """
+    ahead, aside, one = offset / length, b / length, np.float32(1)
+    cosine, sine = along * ahead + across * aside, along * aside - across * ahead
+    turned = np.float32(0.7745967 * 0.5) * angle
+    square = turned * turned
+    turned_cosine = (one - np.float32(1 / 2) * square * (one - np.float32(1 / 12) * square)) * cosine
+    turned_sine = turned * (one - np.float32(1 / 6) * square) * sine
+    return np.float32(8 / 18) * _cone(cosine, outer, per_cosine) + np.float32(5 / 18) * (
+        _cone(turned_cosine + turned_sine, outer, per_cosine) + _cone(turned_cosine - turned_sine, outer, per_cosine)
+    )
 
 
 @numba.njit(forceinline=True, error_model="numpy")
 @no_type_check
 def _lit_angles(ray, lamp, nearest, b, step):
     """Angles along a ray between which it is in a lamp's cone, and the longest step between them."""
-    along = lamp[3] * ray[0] + lamp[4] * ray[1] + lamp[5] * ray[2]
-    across = (nearest * along - (lamp[3] * lamp[0] + lamp[4] * lamp[1] + lamp[5] * lamp[2])) / b
+    along, across = _axis(ray, lamp, nearest, b)
     largest = np.sqrt(along * along + across * across)
     ratio = lamp[9] / max(largest, np.float32(1e-9))
     if ratio <= 0:
@@ -205,29 +249,16 @@ def _scattered(ray, lamp, nearest, b, first, last, per_m, numbers, sums):
     `first` and `last`: angle atan((s - s0) / b), optical depth and distance at the ends of the piece; `per_m` is the
     medium's extinction between them.
     """
-    # The middle of the angles, without a tangent: the ends' unit vectors halved.
-    start, end = first[2] - nearest, last[2] - nearest
-    near, far = np.sqrt(start * start + b * b), np.sqrt(end * end + b * b)
-    offset = (start * far + end * near) / (near + far)
-    at = min(max(nearest + offset, first[2]), last[2])
-    offset = at - nearest
-    vx, vy, vz = at * ray[0] - lamp[0], at * ray[1] - lamp[1], at * ray[2] - lamp[2]
-    length = np.sqrt(b * b + offset * offset)
+    offset, length = _middle(first[2] - nearest, last[2] - nearest, b)
     lit = np.float32(1)
     if lamp[10] > -1:
-        # By Gauss's three points: the cosine from the axis is a sine of the angle along the ray.
-        along = lamp[3] * ray[0] + lamp[4] * ray[1] + lamp[5] * ray[2]
-        across = ((lamp[3] * vx + lamp[4] * vy + lamp[5] * vz) - along * offset) / b
-        turned, ahead = np.float32(0.7745967 * 0.5) * (last[0] - first[0]), offset / length
-        one, other = along * ahead + across * b / length, along * b / length - across * ahead
-        lit = _cone(one, lamp)
-        if turned > np.float32(0.02):
-            sine, cosine = np.sin(turned), np.cos(turned)
-            lit = np.float32(8 / 18) * lit + np.float32(5 / 18) * (
-                _cone(cosine * one + sine * other, lamp) + _cone(cosine * one - sine * other, lamp)
-            )
+        along, across = _axis(ray, lamp, nearest, b)
+        outer, per_cosine = _edge(lamp)
+        lit = _lit_share(offset, length, b, last[0] - first[0], along, across, outer, per_cosine)
     if lit <= 0 or per_m <= 0:
         return np.float32(0)
+    at = nearest + offset
+    vx, vy, vz = at * ray[0] - lamp[0], at * ray[1] - lamp[1], at * ray[2] - lamp[2]
     depth = first[1] + per_m * (at - first[2]) + _depth_from_lamp(vx, vy, vz, length, lamp, numbers)
     quarter = np.float32(np.pi / 2)
     phase = _sum_to(last[0] + quarter, sums) - _sum_to(first[0] + quarter, sums)
@@ -266,43 +297,24 @@ def _angle(x):
 @numba.njit(error_model="numpy")
 @no_type_check
 def _scatter_slices(ray, lamp, nearest, b, depths, distances, numbers, sums, angles, light):
-    """Write the angle at each slice, and the light of one lamp that each slice scatters if it is lit as its middle is.
+    """Write the angle at each slice, and the light of one lamp that each slice scatters if all of it is lit.
 
-    That is `_scattered` for each whole slice, in loops that LLVM vectorizes.
+    That is `_scattered` for each whole slice of a medium without a region, in loops that LLVM vectorizes.
     """
     count, one = len(distances), np.float32(1)
     for k in range(count):
         angles[k] = _angle((distances[k] - nearest) / b)
-    along = lamp[3] * ray[0] + lamp[4] * ray[1] + lamp[5] * ray[2]
-    behind = lamp[3] * lamp[0] + lamp[4] * lamp[1] + lamp[5] * lamp[2]
-    across = (nearest * along - behind) / b
-    outer, width, has_cone = lamp[9], one / max(lamp[10] - lamp[9], np.float32(1e-6)), lamp[10] > -1
-    in_region = numbers[32] != 0
+    along, across = _axis(ray, lamp, nearest, b)
+    outer, per_cosine = _edge(lamp)
+    has_cone, extinction_per_m = lamp[10] > -1, numbers[0]
     for k in range(1, count):
-        start, end = distances[k - 1] - nearest, distances[k] - nearest
-        near, far = np.sqrt(start * start + b * b), np.sqrt(end * end + b * b)
-        offset = min(max((start * far + end * near) / (near + far), start), end)
-        length = np.sqrt(b * b + offset * offset)
+        offset, length = _middle(distances[k - 1] - nearest, distances[k] - nearest, b)
         lit = one
         if has_cone:
-            # As in `_scattered`; the angle from its middle to Gauss's outer points is at most 0.1.
-            turned, ahead, aside = (
-                np.float32(0.7745967 * 0.5) * (angles[k] - angles[k - 1]),
-                offset / length,
-                b / length,
-            )
-            cosine, sine = along * ahead + across * aside, along * aside - across * ahead
-            half = one - np.float32(0.5) * turned * turned
-            at = min(max((cosine - outer) * width, np.float32(0)), one)
-            left = min(max((half * cosine + turned * sine - outer) * width, np.float32(0)), one)
-            right = min(max((half * cosine - turned * sine - outer) * width, np.float32(0)), one)
-            lit = np.float32(8 / 18) * at * at * (np.float32(3) - np.float32(2) * at) + np.float32(5 / 18) * (
-                left * left * (np.float32(3) - np.float32(2) * left)
-                + right * right * (np.float32(3) - np.float32(2) * right)
-            )
+            lit = _lit_share(offset, length, b, angles[k] - angles[k - 1], along, across, outer, per_cosine)
         per_m = (depths[k] - depths[k - 1]) / (distances[k] - distances[k - 1])
         depth = depths[k - 1] + per_m * (nearest + offset - distances[k - 1])
-        depth += np.float32(0) if in_region else numbers[0] * length
+        depth += extinction_per_m * length
         light[k] = per_m * exponential(-depth) * lit
     quarter, share = np.float32(np.pi / 2), one / (np.float32(4 * np.pi) * b)
     before = _sum_to(angles[0] + quarter, sums)
@@ -754,7 +766,8 @@ def _light_drops(portion, points, lamps, numbers, drawn, phase, light):
             lamp = lamps[i]
             vx, vy, vz = x - lamp[0], y - lamp[1], z - lamp[2]
             length = max(np.sqrt(vx * vx + vy * vy + vz * vz), np.float32(NEAREST_DROP_M))
-            share = _cone((lamp[3] * vx + lamp[4] * vy + lamp[5] * vz) / length, lamp)
+            outer, per_cosine = _edge(lamp)
+            share = _cone((lamp[3] * vx + lamp[4] * vy + lamp[5] * vz) / length, outer, per_cosine)
             if share <= 0:
                 continue
             cosine = min(max(np.float32(-1), -(vx * x + vy * y + vz * z) / (length * away)), np.float32(1))

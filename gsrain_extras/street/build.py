@@ -93,13 +93,12 @@ def street_surfaces(parameters: StreetParameters | None = None) -> StreetSurface
     }
     line, edge_px = ego_camera_line(layout.parameters), layout.parameters.edge_px
 
-    def fine(name: str) -> Quads:
-        quads = layers[name]
+    def fine(name: str, quads: Quads) -> Quads:
         return quads if name == "sky" else refined(split_at_shadows(quads, line, light, edge_px), line, edge_px)
 
     with ThreadPoolExecutor(usable_cores()) as pool:  # most of a layer's time is in functions of NumPy
-        layers = dict(zip(layers, pool.map(fine, layers), strict=True))
-    return StreetSurfaces(layout, layers, build_lead(layout.parameters))
+        made = dict(zip(layers, pool.map(fine, layers, layers.values()), strict=True))
+    return StreetSurfaces(layout, made, build_lead(layout.parameters))
 
 
 def build_lead(parameters: StreetParameters) -> Quads:

@@ -113,9 +113,7 @@ class CpuRenderer:
                     self._frame = _draw_mode(mode, splats, tiles, film, with_depth=with_depth)
                 else:
                     self._frame = _draw_behind_veil(splats, order, tiles, rain, film, with_depth=with_depth)
-                if medium is not None:
-                    rgba = self._frame.rgba
-                    rgba += (1 - rgba[..., 3:]) * sky.rgba
+                _add_sky(self._frame.rgba, sky)
             if mirror is not None and film is not None:
                 add_light(self._frame.rgba, mirror.reflected(film.visible))
             if camera.lens is not None:
@@ -226,8 +224,7 @@ def _draw_lit(
     else:
         rgba, shares = _composite_dry(splats.shapes, channels, tiles, film)
         weight = rgba[..., 3].copy()
-        if len(sky.shares) > 0:
-            rgba += (1 - rgba[..., 3:]) * sky.rgba
+        _add_sky(rgba, sky)
     if len(sky.shares) > 0:
         medium = light_in_picture(lit, shares, weight, None if camera.lens is None else camera.rays)
         light = medium if light is None else np.add(light, medium, out=light)
@@ -240,6 +237,11 @@ def _draw_lit(
     else:
         _, weighted = composite(splats.shapes, splats.colors, tiles)
     return Frame(rgba, expected(weighted, weight, MIN_WEIGHT))
+
+
+def _add_sky(rgba: Float32[np.ndarray, "h w 4"], sky: SkyLayer) -> None:
+    if len(sky.shares) > 0:
+        rgba += (1 - rgba[..., 3:]) * sky.rgba
 
 
 def _composite_dry(
