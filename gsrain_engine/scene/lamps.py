@@ -97,10 +97,12 @@ LAMP_REACH_M = 60.0
 """Maximum distance from a lantern to what it lights."""
 SIGNAL_M2 = 12.0
 """Intensity of a signal of 200 mm, dimmed by night: 120 cd, with 10 cd for 1 m2."""
-_THROUGH_LEAF = 0.24  # share of light on the back of a leaf that comes through
+LEAF_SHARES = 0.15, 0.55, 0.24
+"""Of the light on a leaf: what others scatter to it; and by the cosine, what it returns, and what comes through it."""
 
 
 def facing_share(cosine: Float64[np.ndarray, " n"], leaf: Bool[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
     """Cosine law; leaves let light through, and scatter it between them."""
-    through = 0.15 + 0.55 * np.maximum(cosine, 0) + _THROUGH_LEAF * np.maximum(-cosine, 0)
-    return np.where(leaf, through, np.maximum(cosine, 0))
+    scattered, returned, through = LEAF_SHARES
+    of_leaf = scattered + returned * np.maximum(cosine, 0) + through * np.maximum(-cosine, 0)
+    return np.where(leaf, of_leaf, np.maximum(cosine, 0))

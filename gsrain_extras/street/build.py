@@ -20,6 +20,7 @@ from .buildings import build_houses
 from .buses import BUS_SIZE_M, build_parked_buses
 from .cars import CAR_FORMS, TRUCK_FORM, build_car, build_parked_cars, car_shadow, vehicle_shadow
 from .ground import build_road, build_sidewalks, build_surroundings
+from .lamp_light import Windows
 from .layout import (
     STREETS,
     CarShape,
@@ -33,7 +34,7 @@ from .layout import (
 )
 from .lighting import LIGHT_OF, Illumination
 from .mesh import NEAREST_FIRST, Quads, geometric_normals
-from .night import Windows, bus_lamps, ego_lamps, lanterns, signal_lamps, truck_lamps, vehicle_lamps
+from .night import bus_lamps, ego_lamps, lanterns, signal_lamps, truck_lamps, vehicle_lamps
 from .people import build_people, people_of, person_size
 from .refinement import ego_camera_line, refined, refined_vehicle, split_at_shadows
 from .sharpness import color_factors, sharpened

@@ -8,9 +8,10 @@ from jaxtyping import Float, Float32, Float64
 from gsrain_engine.scene.labels import Label
 from gsrain_engine.scene.skies import SUNNY, Lighting, LightingName, TimeOfDay, overcast_share
 
+from .lamp_light import Windows, light_of_lamps
 from .layout import StreetLayout, StreetParameters
 from .mesh import Quads
-from .night import Windows, light_of_lamps, light_on_traffic
+from .night import light_on_traffic
 from .shadows import ground_occlusion, sun_visibility
 
 LIGHT_OF: dict[TimeOfDay, tuple[LightingName, LightingName]] = {

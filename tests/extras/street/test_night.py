@@ -14,9 +14,10 @@ from gsrain_engine.scene.labels import Label
 from gsrain_engine.scene.lamps import LANTERN_M2
 from gsrain_engine.scene.rig import rig_camera
 from gsrain_extras.street.build import quads_to_gaussians, scene_of, street_surfaces, wet_colors
+from gsrain_extras.street.lamp_light import Windows, light_of_lamps
 from gsrain_extras.street.layout import STREETS, StreetParameters
 from gsrain_extras.street.mesh import Quads, panel
-from gsrain_extras.street.night import Windows, lanterns, light_of_lamps
+from gsrain_extras.street.night import lanterns
 
 SMALL = StreetParameters(time_of_day="night", length_m=120.0, parked_share=0.3, tree_spacing_m=30.0)
 NO_WINDOWS = Windows.of(Quads.joined([]))
