@@ -1,6 +1,6 @@
 """Assembly of the street: surfaces, baked daylight, Gaussians, tracks, camera rigs and parked vehicles."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -77,28 +77,29 @@ class StreetSurfaces:
 def street_surfaces(parameters: StreetParameters | None = None) -> StreetSurfaces:
     layout = plan_street(parameters or StreetParameters())
     light = Illumination.over(layout.parameters, layout)
-    layers = {
-        "road": build_road(layout),
-        "pavements": build_sidewalks(layout),
-        "houses": build_houses(layout),
-        "trees": build_trees(layout, light.sun),
-        PARKED_CARS: build_parked_cars(layout),
-        PARKED_TRUCKS: build_parked_trucks(layout),
-        PARKED_BUSES: build_parked_buses(layout),
-        PEDESTRIANS: build_people(layout, light.sun),
-        BICYCLES: build_waiting_bicycles(layout),
-        TRAFFIC_LIGHTS: build_signals(layout),
-        "furniture": build_furniture(layout),
-        "surroundings": build_surroundings(layout),
-        "sky": build_sky(layout),
-    }
     line, edge_px = ego_camera_line(layout.parameters), layout.parameters.edge_px
+    coarse: dict[str, Callable[[], Quads]] = {
+        "road": lambda: build_road(layout),
+        "pavements": lambda: build_sidewalks(layout),
+        "houses": lambda: build_houses(layout),
+        "trees": lambda: build_trees(layout, light.sun),
+        PARKED_CARS: lambda: build_parked_cars(layout),
+        PARKED_TRUCKS: lambda: build_parked_trucks(layout),
+        PARKED_BUSES: lambda: build_parked_buses(layout),
+        PEDESTRIANS: lambda: build_people(layout, light.sun),
+        BICYCLES: lambda: build_waiting_bicycles(layout),
+        TRAFFIC_LIGHTS: lambda: build_signals(layout),
+        "furniture": lambda: build_furniture(layout),
+        "surroundings": lambda: build_surroundings(layout),
+        "sky": lambda: build_sky(layout),
+    }
 
     def fine(name: str, quads: Quads) -> Quads:
         return quads if name == "sky" else refined(split_at_shadows(quads, line, light, edge_px), line, edge_px)
 
     with ThreadPoolExecutor(usable_cores()) as pool:  # most of a layer's time is in functions of NumPy
-        made = dict(zip(layers, pool.map(fine, layers, layers.values()), strict=True))
+        refining = {name: pool.submit(fine, name, build()) for name, build in coarse.items()}
+    made = {name: each.result() for name, each in refining.items()}
     return StreetSurfaces(layout, made, build_lead(layout.parameters))
 
 

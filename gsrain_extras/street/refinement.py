@@ -90,10 +90,7 @@ def refined(quads: Quads, line: CameraLine, edge_px: float) -> Quads:
     parent = np.repeat(np.arange(len(quads)), cells + more)
     place = np.arange(len(parent)) - first[parent]
     cut = quads.take(parent)
-    kinds, kind_of = np.unique(np.concatenate([counts, ends.reshape(-1, 4)], axis=1), axis=0, return_inverse=True)
-    order = np.argsort(kind_of.reshape(-1), kind="stable")
-    for kind, own in zip(kinds, np.split(order, np.cumsum(np.bincount(kind_of.reshape(-1)))[:-1]), strict=True):
-        i, j, *at = (int(each) for each in kind)
+    for (i, j, *at), own in _groups(np.concatenate([counts, ends.reshape(-1, 4)], axis=1)):
         rows = (first[own, None] + np.arange(i * j)).reshape(-1)
         cut.corners[rows] = _cells(quads.corners[own], _graded(i, at[0], at[1]), _graded(j, at[2], at[3]))
     cell = np.minimum(place, cells[parent] - 1)
@@ -105,6 +102,21 @@ def refined(quads: Quads, line: CameraLine, edge_px: float) -> Quads:
         rows = np.flatnonzero(leaf[parent] & (more[parent] == len(shapes) - 1))
         cut.shift[rows], cut.spread[rows] = np.split(np.array(shapes, np.float32)[place[rows]], 2, axis=1)
     return cut
+
+
+def _groups(digits: Int64[np.ndarray, "n k"]) -> Iterator[tuple[list[int], Int64[np.ndarray, " m"]]]:
+    """Yield the different rows of digits from 0 to 9, in order, and the places of each, ascending."""
+    if not len(digits):
+        return
+    tens = 10 ** np.arange(digits.shape[1] - 1, -1, -1)
+    codes = digits @ tens
+    counts = np.bincount(codes)
+    found = np.flatnonzero(counts)
+    numbers = np.zeros(len(counts), np.uint16)  # small ones are sorted by their digits, in a fraction of the time
+    numbers[found] = np.arange(len(found))
+    order = np.argsort(numbers[codes], kind="stable")
+    for code, places in zip(found, np.split(order, np.cumsum(counts[found])[:-1]), strict=True):
+        yield (code // tens % 10).tolist(), places
 
 
 def _fill_gaps(quads: Quads, rows: Int64[np.ndarray, " m"]) -> None:
@@ -244,17 +256,15 @@ def _footprints(
         thin = (quads.spread[:, k] < _ROUND) & (ends[:, k] == _NO_EDGE).all(axis=1)
         chosen = np.flatnonzero(~(fixed | thin))
         key = np.column_stack([counts[:, k], ends[:, k], axis @ NEAREST_FIRST > 0, hidden, level])[chosen]
-        kinds, kind_of = np.unique(key, axis=0, return_inverse=True)
-        for number, kind in enumerate(kinds):
-            count, first, last, ascending, is_hidden, is_level = (int(each) for each in kind)
+        for (count, first, last, ascending, is_hidden, is_level), own in _groups(key):
             lines, inside = _graded(count, first, last), _LEVEL_SPREAD if is_level else _SPREAD
-            rows = chosen[kind_of.reshape(-1) == number]
+            rows = chosen[own]
             if ascending:
-                own, offset = _placed(lines, first, last, inside, bool(is_hidden), room[rows])
+                widths, offset = _placed(lines, first, last, inside, bool(is_hidden), room[rows])
             else:
-                own, offset = _placed(1 - lines[::-1], last, first, inside, bool(is_hidden), room[rows, ::-1])
-                own, offset = own[:, ::-1], -offset[:, ::-1]
-            spread[rows, :count], shift[rows, :count] = own, offset
+                widths, offset = _placed(1 - lines[::-1], last, first, inside, bool(is_hidden), room[rows, ::-1])
+                widths, offset = widths[:, ::-1], -offset[:, ::-1]
+            spread[rows, :count], shift[rows, :count] = widths, offset
         yield spread, shift
 
 

@@ -5,7 +5,7 @@ import numpy as np
 from gsrain_engine.scene.ground_water import GroundWater
 
 from .layout import StreetLayout
-from .wet_surfaces import film_cover, puddles
+from .wet_surfaces import water_shares
 
 _CELL_M = 0.2
 _BEYOND_M = 13.0  # of the cross streets, beyond the rows of houses
@@ -20,7 +20,6 @@ def street_water(layout: StreetLayout) -> GroundWater:
     points = np.zeros((len(y), len(x), 3))
     points[..., 0], points[..., 1] = x, y[:, None]
     points = points.reshape(-1, 3)
-    standing = puddles(layout, points)
-    shares = np.stack([(1 - standing) * film_cover(layout, points), standing], axis=1)
+    shares = np.stack(water_shares(layout, points), axis=1)
     cover = np.rint(255 * shares).astype(np.uint8).reshape(len(y), len(x), 2)
     return GroundWater(corner, _CELL_M, cover)

@@ -1,25 +1,21 @@
 """Wet surfaces of the street under clouds: darker albedo, puddles, and what the wet ground reflects."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Float64
+from jaxtyping import Bool, Float32, Float64
 
 from gsrain_engine.scene.gaussians import sh_basis
 from gsrain_engine.scene.ground_water import FILM_SLOPE, STANDING_SLOPE
 from gsrain_engine.scene.labels import Label
 from gsrain_engine.scene.noise import lattice_noise, layered_noise, smooth_noise
-from gsrain_engine.scene.skies import OVERCAST_ZENITH, overcast_luminance
 from gsrain_engine.scene.water_surface import WATER_INDEX, reflectance, unshadowed, wet_albedo
 
-from .buses import BUS_FORM
-from .cars import CAR_FORMS, TRUCK_FORM
-from .layout import CURB_HEIGHT_M, Color, House, StreetLayout
+from .layout import CURB_HEIGHT_M, StreetLayout
 from .lighting import Illumination
-from .mesh import Quads, panel
-from .vegetation import crown_middle
+from .mesh import Quads
+from .reflections import Surroundings
 
 # Materials
 
@@ -83,18 +79,28 @@ def reflecting(quads: Quads) -> Bool[np.ndarray, " n"]:
 
 def puddles(layout: StreetLayout, points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
     """Share of standing water, 0..1: in hollows of wheel tracks, along curbs, and here and there on the pavement."""
-    edge = np.clip((_water_depth(layout, points) - 0.61) / 0.05, 0, 1)
-    return edge * edge * (3 - 2 * edge)
+    return _standing(_water_depth(layout, points))
 
 
-def film_cover(layout: StreetLayout, points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
-    """Share of the ground that a film covers, 0..1: patches, more of it near puddles, with grain."""
-    seed, flat = layout.parameters.seed, points[:, :2]
-    patches = layered_noise(flat, (2.6, 0.8), seed + 411, 4) - 0.5
+def water_shares(
+    layout: StreetLayout, points: Float64[np.ndarray, "n 3"]
+) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
+    """Shares of the ground that a film and standing water (`puddles`) cover, 0..1.
+
+    The film is in patches, more of it near puddles, with grain.
+    """
+    depth, seed = _water_depth(layout, points), layout.parameters.seed
+    standing = _standing(depth)
+    patches = layered_noise(points[:, :2], (2.6, 0.8), seed + 411, 4) - 0.5
     grain = lattice_noise(np.floor(points * 50).astype(np.int64), seed + 412) - 0.5
-    thick = np.clip(0.36 + 2.0 * patches + 1.8 * (_water_depth(layout, points) - 0.5) + 0.22 * grain, 0, 1)
+    thick = np.clip(0.36 + 2.0 * patches + 1.8 * (depth - 0.5) + 0.22 * grain, 0, 1)
     thin, full = _FILM_COVER
-    return thin + (full - thin) * thick
+    return (1 - standing) * (thin + (full - thin) * thick), standing
+
+
+def _standing(depth: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
+    edge = np.clip((depth - 0.61) / 0.05, 0, 1)
+    return edge * edge * (3 - 2 * edge)
 
 
 def _water_depth(layout: StreetLayout, points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
@@ -113,7 +119,7 @@ def _water_depth(layout: StreetLayout, points: Float64[np.ndarray, "n 3"]) -> Fl
 
 GROUND_COEFFICIENTS = 16
 """Harmonics of wet ground, whose reflections change quickly with the viewing direction."""
-_CHUNK = 6000
+_CHUNK = 1000  # points whose surroundings fit into the processor's cache
 
 
 def wet_harmonics(
@@ -128,21 +134,28 @@ def wet_harmonics(
     layout, ground = light.layout, np.flatnonzero(reflecting(quads))
     if layout is None or coefficients < GROUND_COEFFICIENTS or not len(ground):
         return sh
-    fronts = FrontLight.of(light) if light.lighting.lamps else None
+    azimuths, rises = _azimuths()[0], np.radians(_RISES_DEG).astype(np.float32)
+    around = Surroundings.of(light, rises)
+    points = quads.centers[ground].astype(np.float64)
+    film, standing = (each.astype(np.float32) for each in water_shares(layout, points))
+    diffuse = (arriving[ground] * quads.albedo[ground]).astype(np.float32)
+    diffuse *= (1 - standing * (1 - _THROUGH_PUDDLE))[:, None]
+    weights = [_facet_weights(slope) for slope in (FILM_SLOPE, STANDING_SLOPE)]
+    film_reflects, pool_reflects = (np.tile(each.sum(axis=1), len(azimuths)) for each in weights)
+    fit = np.ascontiguousarray(_fit().T)
     for first in range(0, len(ground), _CHUNK):
-        own = ground[first : first + _CHUNK]
-        part = quads.take(own)
-        points = part.centers.astype(np.float64)
-        diffuse = (arriving[own] * part.albedo).astype(np.float32)[:, None]
-        standing = puddles(layout, points).astype(np.float32)[:, None, None]
-        around = _surroundings(light, points, fronts)
-        film, film_share = _reflected(around, FILM_SLOPE)
-        pool, pool_share = _reflected(around, STANDING_SLOPE)
-        cover = (1 - standing) * film_cover(layout, points).astype(np.float32)[:, None, None]
-        share = cover * film_share + standing * pool_share
-        through = 1 - standing * (1 - _THROUGH_PUDDLE)
-        seen = (1 - share) * through * diffuse + cover * film + standing * pool
-        sh[own] = np.matmul(_fit(), light.lighting.display(seen) - np.float32(0.5))
+        own = slice(first, first + _CHUNK)
+        cover, pool = film[own, None], standing[own, None]
+        arrives = around.light_around(points[own], azimuths, rises)
+        seen, from_pool = (
+            np.matmul(arrives.reshape(-1, len(rises)), each.T).reshape(len(arrives), 3, -1) for each in weights
+        )
+        seen *= cover[:, None]
+        from_pool *= pool[:, None]
+        seen += from_pool
+        seen += (1 - cover * film_reflects - pool * pool_reflects)[:, None] * diffuse[own, :, None]
+        fitted = np.matmul(light.lighting.display(seen) - np.float32(0.5), fit)
+        sh[ground[own]] = fitted.transpose(0, 2, 1)
     return sh
 
 
@@ -181,15 +194,6 @@ def _fit() -> Float32[np.ndarray, "k s"]:
     return np.linalg.solve(damped, (basis * weight).T).astype(np.float32)
 
 
-def _reflected(
-    around: Float32[np.ndarray, "n a e 3"], slope: float
-) -> tuple[Float32[np.ndarray, "n s 3"], Float32[np.ndarray, "1 s 1"]]:
-    """Light that rough water reflects in the fitted directions, and the share of light that it reflects."""
-    weights = _facet_weights(slope)
-    share = np.tile(weights.sum(axis=1), around.shape[1])
-    return np.matmul(weights, around).reshape(len(around), -1, 3), share[None, :, None].astype(np.float32)
-
-
 @lru_cache(maxsize=4)
 def _facet_weights(slope: float) -> Float32[np.ndarray, "d e"]:
     """Share of light from each elevation that water with Gaussian slopes reflects in each viewing direction.
@@ -217,194 +221,3 @@ def _facet_weights(slope: float) -> Float32[np.ndarray, "d e"]:
                 found[low + 1] += gain * (at - low)
         weights[row] = found / total
     return weights.astype(np.float32)
-
-
-# What is around a point of the ground: walls, crowns and vehicles by azimuth and elevation
-
-_WALL_LIGHT, _VEHICLE_LIGHT, _LEAF_LIGHT = 0.30, 0.34, 0.30
-"""Light on walls, vehicles and leaves in the street, relative to the open sky on level ground."""
-_GLASS = 0.10  # light of the sky that the windows of a wall reflect, relative to the zenith
-_LEAF: Color = (0.05, 0.11, 0.018)
-_NEAR_M = 45.0  # maximum distance of trees and vehicles that are reflected
-
-
-def _surroundings(
-    light_of: Illumination, points: Float64[np.ndarray, "n 3"], fronts: "FrontLight | None"
-) -> Float32[np.ndarray, "n a e 3"]:
-    """Light that arrives at points of the ground, by azimuth and elevation; by night with `fronts`."""
-    layout = light_of.layout
-    assert layout is not None
-    azimuths, _ = _azimuths()
-    c, s = np.cos(azimuths)[None], np.sin(azimuths)[None]
-    p = points.astype(np.float32)
-    rises = np.radians(_RISES_DEG).astype(np.float32)
-    top, wall, reach = _houses(layout, p, c, s)
-    if fronts is None:
-        sky = (OVERCAST_ZENITH * overcast_luminance(np.sin(rises))).astype(np.float32)[:, None]
-        wall, dim = wall[:, :, None], np.float32(1)
-    else:
-        assert light_of.lighting.reflected_sky is not None and light_of.lighting.reflected_dim is not None
-        sky, dim = (np.float32(each) for each in (light_of.lighting.reflected_sky, light_of.lighting.reflected_dim))
-        wall = fronts.at(p, c, s, reach, rises)
-    covered = np.clip((top[..., None] - rises) / np.radians(1.5) + 0.5, 0, 1)[..., None].astype(np.float32)
-    light = covered * wall + (1 - covered) * sky
-    for tree in layout.trees:
-        middle, half = crown_middle(tree)
-        near = np.flatnonzero(np.abs(p[:, 0] - tree.x) < _NEAR_M)
-        away = p[near, :2] - np.array([tree.x, tree.y], np.float32)
-        along, aside = -(away[:, :1] * c + away[:, 1:] * s), np.abs(away[:, :1] * s - away[:, 1:] * c)
-        i, k = np.nonzero((along > 0.3) & (aside < tree.radius) & (along < reach[near]))
-        if not len(i):
-            continue
-        h, t = half * np.sqrt(1 - (aside[i, k] / tree.radius) ** 2), along[i, k]
-        low, high = np.arctan2(middle - h, t)[:, None], np.arctan2(middle + h, t)[:, None]
-        inside = np.clip((rises - low) / 0.05 + 0.5, 0, 1) * np.clip((high - rises) / 0.05 + 0.5, 0, 1)
-        _cover(light, near[i], k, 0.85 * inside, dim * _lit(_LEAF, _LEAF_LIGHT))
-    for box in _vehicles(layout):
-        near = np.flatnonzero(np.abs(p[:, 0] - box[0]) < _NEAR_M)
-        t0, t1 = _crossed(p[near], c, s, *box[:4])
-        i, k = np.nonzero((t1 > np.maximum(t0, 0)) & (t0 < reach[near]))
-        if not len(i):
-            continue
-        top_of_it = np.arctan2(np.float32(box[4]), np.maximum(t0[i, k], 0.05))[:, None]
-        inside = np.clip((top_of_it - rises) / 0.03 + 0.5, 0, 1)
-        _cover(
-            light, near[i], k, 0.95 * inside, dim * (_lit(box[5], _VEHICLE_LIGHT) + np.float32(0.04 * OVERCAST_ZENITH))
-        )
-    return light
-
-
-# By night: fronts by lanterns and lit rooms
-
-_FRONT_CELL_M = 0.75
-_FRONT_ROWS = 18
-_END_LIGHT = np.array([0.022, 0.016, 0.010], np.float32)  # of the houses across both ends, with their windows
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FrontLight:
-    """Light of the house fronts on both sides by night, in cells along the street and upwards."""
-
-    start_x_m: float
-    cells: Float32[np.ndarray, "side nx nz 3"]
-    """Left side first."""
-
-    @classmethod
-    def of(cls, light: Illumination) -> "FrontLight":
-        """Light walls of each house's color as the street's are, and add its lit rooms."""
-        layout, windows = light.layout, light.windows
-        assert layout is not None and windows is not None
-        a = layout.parameters
-        count = int(np.ceil(a.length_m / _FRONT_CELL_M))
-        x, z = a.start_x_m + _FRONT_CELL_M * np.arange(count + 1), _FRONT_CELL_M * np.arange(_FRONT_ROWS + 1)
-        cells = np.zeros((2, count, _FRONT_ROWS, 3))
-        for k, (row, side) in enumerate(((layout.left, 1), (layout.right, -1))):
-            wall = panel((0, side * a.front_y_m, 0), (1, 0, 0), (0, 0, 1), x, z, 1.0, Label.BUILDING)
-            wall = replace(wall, normals=np.full_like(wall.normals, [0, -side, 0]))
-            starts = np.array([house.origin[0] - (house.width if side < 0 else 0) for house in row])
-            house = np.clip(np.searchsorted(starts, wall.centers[:, 0], side="right") - 1, 0, len(row) - 1)
-            albedo = np.array([wet_albedo(np.array(each.color)) for each in row])[house]
-            lit = 0.85 * albedo * light.light_on(wall, wall.centers)
-            cells[k] = lit.reshape(count, _FRONT_ROWS, 3)
-            own = np.flatnonzero(side * windows.centers[:, 1] > a.front_y_m - 0.5)
-            own = own[np.abs(windows.normals[own, 1]) > 0.5]
-            i = np.clip(((windows.centers[own, 0] - a.start_x_m) / _FRONT_CELL_M).astype(int), 1, count - 2)
-            j = np.clip((windows.centers[own, 2] / _FRONT_CELL_M).astype(int), 1, _FRONT_ROWS - 2)
-            for di in (-1, 0, 1):  # over 2.25 m, about the size of a shop window
-                for dj in (-1, 0, 1):
-                    np.add.at(cells[k], (i + di, j + dj), windows.intensities[own] / (9 * _FRONT_CELL_M**2))
-        return cls(a.start_x_m, cells.astype(np.float32))
-
-    def at(
-        self,
-        p: Float32[np.ndarray, "n 3"],
-        c: Float32[np.ndarray, "1 a"],
-        s: Float32[np.ndarray, "1 a"],
-        reach: Float32[np.ndarray, "n a"],
-        rises: Float32[np.ndarray, " e"],
-    ) -> Float32[np.ndarray, "n a e 3"]:
-        """Light of the wall that ends the view from points in each azimuth (`reach` meters away) and elevation."""
-        x, y = p[:, :1] + reach * c, p[:, 1:2] + reach * s
-        i = np.floor((x - self.start_x_m) / _FRONT_CELL_M).astype(np.int64)
-        is_front = (i >= 0) & (i < self.cells.shape[1])
-        j = np.floor(reach[..., None] * np.tan(rises) / _FRONT_CELL_M).astype(np.int64)
-        side = np.broadcast_to((y < 0)[..., None], j.shape).astype(np.int64)
-        i = np.broadcast_to(np.clip(i, 0, self.cells.shape[1] - 1)[..., None], j.shape)
-        found = self.cells[side, i, np.clip(j, 0, _FRONT_ROWS - 1)]
-        return np.where(is_front[..., None, None], found, _END_LIGHT)
-
-
-def _cover(
-    light: Float32[np.ndarray, "n a e 3"],
-    i: np.ndarray,
-    k: np.ndarray,
-    share: Float[np.ndarray, "m e"],
-    color: Float32[np.ndarray, "3"],
-) -> None:
-    light[i, k] += share[..., None].astype(np.float32) * (color - light[i, k])
-
-
-def _lit(albedo: Color, light: float) -> Float32[np.ndarray, "3"]:
-    return np.float32(light * 7 / 9 * OVERCAST_ZENITH) * np.array(albedo, np.float32)
-
-
-def _houses(
-    layout: StreetLayout,
-    p: Float32[np.ndarray, "n 3"],
-    c: Float32[np.ndarray, "1 a"],
-    s: Float32[np.ndarray, "1 a"],
-) -> tuple[Float32[np.ndarray, "n a"], Float32[np.ndarray, "n a 3"], Float32[np.ndarray, "n a"]]:
-    """Elevation of the eaves that end the view in each azimuth, light of the wall below, and its distance."""
-    a = layout.parameters
-    end_x = np.where(c > 0, a.end_x_m + 13.0, a.start_x_m - 13.0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        reach = np.where(np.abs(c) > 1e-4, (end_x - p[:, :1]) / c, np.float32(1e4)).astype(np.float32)
-        to_front = np.where(np.abs(s) > 1e-4, (np.sign(s) * a.front_y_m - p[:, 1:2]) / s, np.float32(1e4))
-    reach = np.where(reach > 0, reach, 60.0).astype(np.float32)
-    height = np.full(reach.shape, 13.0, np.float32)
-    color = np.broadcast_to(_wall_light(layout.ends), (*reach.shape, 3)).copy()
-    x = p[:, :1] + to_front * c
-    for row, side in ((layout.left, 1), (layout.right, -1)):
-        starts = np.array([house.origin[0] - (house.width if side < 0 else 0) for house in row])
-        stop = starts[-1] + row[-1].width
-        met = (np.sign(s) == side) & (to_front > 0) & (to_front < reach) & (x >= starts[0]) & (x < stop)
-        index = np.clip(np.searchsorted(starts, x[met], side="right") - 1, 0, len(row) - 1)
-        height[met] = np.array([h.eaves + 0.3 * (h.ridge - h.eaves) for h in row], np.float32)[index]
-        color[met] = np.array([_wall_light((h,)) for h in row], np.float32)[index]
-        reach = np.where(met, to_front, reach).astype(np.float32)
-    return np.arctan2(height, reach), color.astype(np.float32), reach
-
-
-def _wall_light(houses: tuple[House, ...]) -> Float32[np.ndarray, "3"]:
-    colors = np.mean([wet_albedo(np.array(house.color)) for house in houses], axis=0)
-    light: Color = (float(colors[0]), float(colors[1]), float(colors[2]))
-    return np.float32(0.8) * _lit(light, _WALL_LIGHT) + np.float32(_GLASS * OVERCAST_ZENITH * 0.4)
-
-
-def _vehicles(layout: StreetLayout) -> Iterator[tuple[float, float, float, float, float, Color]]:
-    """Boxes of parked vehicles: middle, half length and width, height (m), and paint."""
-    for car in layout.cars:
-        form = CAR_FORMS[car.shape]
-        yield car.x, car.y, 0.5 * form.length, 0.5 * form.width, form.height, car.paint
-    for truck in layout.trucks:
-        yield truck.x, truck.y, 0.5 * TRUCK_FORM.length, 0.5 * TRUCK_FORM.width, TRUCK_FORM.height, truck.body
-    for bus in layout.buses:
-        yield bus.x, bus.y, 0.5 * BUS_FORM.length, 0.5 * BUS_FORM.width, BUS_FORM.height, bus.paint
-
-
-def _crossed(
-    p: Float32[np.ndarray, "n 3"],
-    c: Float32[np.ndarray, "1 a"],
-    s: Float32[np.ndarray, "1 a"],
-    x: float,
-    y: float,
-    half_length: float,
-    half_width: float,
-) -> tuple[Float32[np.ndarray, "n a"], Float32[np.ndarray, "n a"]]:
-    """Distances at which level rays enter and leave a box."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        xa, xb = ((x + side * half_length - p[:, :1]) / c for side in (-1, 1))
-        ya, yb = ((y + side * half_width - p[:, 1:2]) / s for side in (-1, 1))
-    enter = np.fmax(np.fmin(xa, xb), np.fmin(ya, yb))
-    leave = np.fmin(np.fmax(xa, xb), np.fmax(ya, yb))
-    return enter.astype(np.float32), leave.astype(np.float32)
