@@ -1,5 +1,6 @@
 """Procedural noise on a lattice: the same everywhere, for any seed."""
 
+from functools import reduce
 from itertools import product
 from typing import Any
 
@@ -10,10 +11,12 @@ from jaxtyping import Float, Float64, Int64
 def lattice_noise(cells: Int64[np.ndarray, "n d"], seed: int) -> Float64[np.ndarray, " n"]:
     """Random number in [0, 1) for each integer cell (a multiplicative hash, finished as in splitmix64)."""
     primes = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)
-    mixed = (cells.astype(np.uint64) * primes[: cells.shape[1]]).sum(axis=1, dtype=np.uint64)
-    mixed = mixed + np.uint64(seed * 0xD6E8FEB86659FD93 % 2**64)
+    mixed = np.full(len(cells), seed * 0xD6E8FEB86659FD93 % 2**64, np.uint64)
+    for column, prime in zip(cells.T, primes, strict=False):
+        mixed += column.astype(np.uint64) * prime
     for shift in (30, 27, 31):
-        mixed = (mixed ^ (mixed >> np.uint64(shift))) * np.uint64(0xBF58476D1CE4E5B9)
+        mixed ^= mixed >> np.uint64(shift)
+        mixed *= np.uint64(0xBF58476D1CE4E5B9)
     return (mixed >> np.uint64(11)).astype(np.float64) / 2.0**53
 
 
@@ -23,11 +26,12 @@ def smooth_noise(points: Float[np.ndarray, "n d"], size: Any, seed: int) -> Floa
     cells = np.floor(scaled).astype(np.int64)
     part = scaled - cells
     weight = part * part * (3 - 2 * part)
+    weights = 1 - weight, weight
     total = np.zeros(len(points))
     for corner in product((0, 1), repeat=points.shape[1]):
-        bits = np.array(corner[::-1])  # the first axis changes fastest
-        share = np.prod(np.where(bits, weight, 1 - weight), axis=1)
-        total += share * lattice_noise(cells + bits, seed)
+        bits = corner[::-1]  # the first axis changes fastest
+        share = reduce(np.multiply, (weights[bit][:, axis] for axis, bit in enumerate(bits)))
+        total += share * lattice_noise(cells + np.array(bits), seed)
     return total
 
 

@@ -287,11 +287,11 @@ def _ellipses(quads: Quads) -> tuple[Float32[np.ndarray, "n 3"], Float32[np.ndar
     u = 0.5 * (c[:, 1] + c[:, 2] - c[:, 0] - c[:, 3]) * quads.spread[:, :1]
     v = 0.5 * (c[:, 2] + c[:, 3] - c[:, 0] - c[:, 1]) * quads.spread[:, 1:]
     normal = geometric_normals(c)
-    longer = np.where((np.sum(u * u, axis=1) >= np.sum(v * v, axis=1))[:, None], u, v)
-    first = longer - np.sum(longer * normal, axis=1, keepdims=True) * normal
-    first /= np.maximum(np.linalg.norm(first, axis=1, keepdims=True), 1e-12)
+    longer = np.where((_dot(u, u) >= _dot(v, v))[:, None], u, v)
+    first = longer - _dot(longer, normal)[:, None] * normal
+    first /= np.maximum(np.sqrt(_dot(first, first)), 1e-12)[:, None]
     second = np.cross(normal, first)
-    u1, u2, v1, v2 = (np.sum(a * b, axis=1) for a in (u, v) for b in (first, second))
+    u1, u2, v1, v2 = (_dot(a, b) for a in (u, v) for b in (first, second))
     xx, xy, yy = u1 * u1 + v1 * v1, u1 * u2 + v1 * v2, u2 * u2 + v2 * v2
     turn = 0.5 * np.arctan2(2 * xy, xx - yy)
     middle, swing = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
@@ -300,6 +300,10 @@ def _ellipses(quads: Quads) -> tuple[Float32[np.ndarray, "n 3"], Float32[np.ndar
     rotation = np.stack([cosine * first + sine * second, cosine * second - sine * first, normal], axis=2)
     scales = np.stack([large, small, np.maximum(_THICKNESS * small, 1e-4)], axis=1)
     return scales.astype(np.float32), quaternions_from_matrices(rotation).astype(np.float32)
+
+
+def _dot(a: Float64[np.ndarray, "n 3"], b: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
+    return a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] + a[:, 2] * b[:, 2]
 
 
 def _harmonics(

@@ -54,7 +54,8 @@ class Quads:
 
     @property
     def centers(self) -> Float32[np.ndarray, "n 3"]:
-        return self.corners.mean(axis=1, dtype=np.float32)
+        c = self.corners  # as their mean, which takes several times as long along a short axis
+        return ((c[:, 0] + c[:, 1] + c[:, 2] + c[:, 3]) / np.float32(4)).astype(np.float32, copy=False)
 
     @classmethod
     def of(
@@ -146,7 +147,8 @@ def geometric_normals(corners: Float[np.ndarray, "n 4 3"]) -> Float[np.ndarray, 
     a, b = corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1]
     # As np.cross and np.linalg.norm, which take several times as long for the few quads of a part.
     normals = a[:, [1, 2, 0]] * b[:, [2, 0, 1]] - a[:, [2, 0, 1]] * b[:, [1, 2, 0]]
-    lengths = np.sqrt((normals * normals).sum(axis=1, keepdims=True))
+    squares = normals * normals
+    lengths = np.sqrt(squares[:, :1] + squares[:, 1:2] + squares[:, 2:])
     return normals / np.maximum(lengths, 1e-12)
 
 
