@@ -129,7 +129,7 @@ class Lighting:
     reflected_dim: Float64[np.ndarray, "3"] | None = None
     """With lamps: light of leaves and vehicles in reflections, relative to that under clouds."""
 
-    def display(self, light: Float[np.ndarray, "*n 3"], albedo: Any = 1.0) -> Float[np.ndarray, "*n 3"]:
+    def display(self, light: Float[np.ndarray, "*n"], albedo: Any = 1.0) -> Float[np.ndarray, "*n"]:
         """Display color of surfaces in a light: highlights are compressed as by film."""
         return linear_to_srgb(1 - np.exp(-self.exposure * light * albedo))
 

@@ -171,6 +171,8 @@ def _cover_by_crown(x, y, ways, reach, elevations, crown, light):
             for e in range(len(elevations)):
                 inside = min(1.0, max(0.0, (elevations[e, 0] - low) / _SOFT_CROWN + 0.5))
                 inside *= min(1.0, max(0.0, (high - elevations[e, 0]) / _SOFT_CROWN + 0.5))
+                if inside <= 0:
+                    continue
                 for c in range(3):
                     light[c, a, e] += _CROWN_COVER * inside * (crown[5 + c] - light[c, a, e])
 
@@ -194,6 +196,8 @@ def _cover_by_vehicle(x, y, ways, reach, elevations, vehicle, light):
             top = atan2(vehicle[4], max(0.05, enter))
             for e in range(len(elevations)):
                 inside = min(1.0, max(0.0, (top - elevations[e, 0]) / _SOFT_VEHICLE + 0.5))
+                if inside <= 0:  # nor at those above
+                    break
                 for k in range(3):
                     light[k, a, e] += _VEHICLE_COVER * inside * (vehicle[5 + k] - light[k, a, e])
 

@@ -148,7 +148,8 @@ def wet_harmonics(
         cover, pool = film[own, None], standing[own, None]
         arrives = around.light_around(points[own], azimuths, rises)
         seen, from_pool = (
-            np.matmul(arrives.reshape(-1, len(rises)), each.T).reshape(len(arrives), 3, -1) for each in weights
+            np.matmul(arrives.reshape(len(arrives), -1, len(rises)), each.T).reshape(len(arrives), 3, -1)
+            for each in weights  # a product for each point: BLAS shares larger ones among threads, at more time in all
         )
         seen *= cover[:, None]
         from_pool *= pool[:, None]
