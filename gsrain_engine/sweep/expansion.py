@@ -104,6 +104,16 @@ class RenderJob(_Content, frozen=True, kw_only=True, forbid_unknown_fields=True,
         own = {"intensity_mm_h": self.rain.intensity_mm_h, "sensor": self.rain.sensor, "labels": self.labels}
         return self.shared("render") | own
 
+    @property
+    def is_labeled(self) -> bool:
+        """True if the clip has a label pass or object labels."""
+        return self.labels is not None or "labels" in self.recording.passes
+
+    @property
+    def labels_id(self) -> str:
+        """Hash of everything that the labels depend on, which is not the rain: equal for all intensities and seeds."""
+        return structs.replace(self, rain=RainSettings(), seed=0, files={}).id
+
 
 Job = DriveJob | RenderJob
 

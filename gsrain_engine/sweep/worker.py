@@ -4,6 +4,7 @@ import errno
 import hashlib
 import os
 import platform
+import shutil
 import tempfile
 import threading
 import time
@@ -20,10 +21,12 @@ from ..choices import Backend
 from ..rain.simulation import RainSimulation
 from ..recolor.cached_colors import cached_wet_scene
 from ..render.export import export_frames, export_sequences, first_pictures, frame_numbers
+from ..render.export_settings import ExportSettings
 from ..render.label_export import write_object_labels
 from ..render.renderer import Renderer
+from ..render.sequence import FrameSequence
 from ..report.numbers import write_json
-from ..safe_io.files import whole_folder
+from ..safe_io.files import PathInUseError, whole_folder
 from ..scene.camera import Camera
 from ..scene.camera_path import CameraPath
 from ..scene.open import file_hash, load_sorted_scene, scene_hash
@@ -43,6 +46,10 @@ from .expansion import DriveJob, Job, RenderJob, program_version, software
 from .settings import AgentChoice
 
 _FULL = {errno.ENOSPC, errno.EDQUOT}
+LABELS = "labels"
+"""Folder in a sweep's folder with the labels that clips share, a folder for each scene and sequence."""
+
+_LOOK_EVERY_S = 0.1
 _ONE_AT_A_TIME = threading.Lock()
 """Compiled kernels use all threads of a process, so concurrent jobs in one process bring no gain."""
 
@@ -203,6 +210,9 @@ def _opened_agent(choice: AgentChoice, stack: ExitStack, client_output: Path | N
 def run_render_job(job: RenderJob, cache: WorkerCache, clips: Path) -> JobResult:
     """Render into a folder named by the job id, created atomically; an existing folder is kept as equal.
 
+    Labels don't depend on rain: jobs that differ in nothing else draw them once, into a folder beside `clips`, and each
+    clip has a copy.
+
     Raises ValueError for contradictory settings or missing scene parts, and OSError if writing fails.
     """
     scene = cache.scene(job.scene, job.scene_hash)
@@ -219,9 +229,12 @@ def run_render_job(job: RenderJob, cache: WorkerCache, clips: Path) -> JobResult
     }
     clips.mkdir(parents=True, exist_ok=True)
     if not place.is_dir():
+        labels = _shared_labels(job, scene, cache, clips.with_name(LABELS) / job.labels_id) if job.is_labeled else None
         try:
             with whole_folder(place, shared=True) as partial:
                 _record(job, scene, cache, partial)
+                if labels is not None:
+                    shutil.copytree(labels, partial, dirs_exist_ok=True)
         except OSError:
             if not place.is_dir():  # otherwise another sweep wrote the same clip
                 raise
@@ -232,17 +245,48 @@ def run_render_job(job: RenderJob, cache: WorkerCache, clips: Path) -> JobResult
     return JobResult(id=job.id, values=values)
 
 
+def _shared_labels(job: RenderJob, scene: Scene, cache: WorkerCache, place: Path) -> Path:
+    """Return the folder with the label files of a job; draws them unless another job has, and waits while one does."""
+    while not place.is_dir():
+        try:
+            with whole_folder(place) as partial:
+                _label(job, scene, cache, partial)
+        except PathInUseError:
+            time.sleep(_LOOK_EVERY_S)
+        except OSError:
+            if not place.is_dir():  # otherwise a process that sees no locks wrote the same
+                raise
+    return place
+
+
+def _label(job: RenderJob, scene: Scene, cache: WorkerCache, folder: Path) -> None:
+    """Write the label pass and the object labels of a clip, named as in the clip."""
+    recording, sequences, numbers = _opened(job, scene, folder)
+    renderer = cache.renderer(job.backend)
+    if "labels" in recording.passes:
+        alone = structs.replace(recording, passes=("labels",), twin=None)
+        deque(export_frames(renderer, alone, sequences, numbers), maxlen=0)
+    if job.labels is not None:
+        deque(write_object_labels(renderer, job.labels, recording, sequences, numbers), maxlen=0)
+
+
 def _record(job: RenderJob, scene: Scene, cache: WorkerCache, folder: Path) -> None:
+    """Write a clip without its labels."""
+    recording, sequences, numbers = _opened(job, scene, folder)
+    renderer = cache.renderer(job.backend)
+    if passes := tuple(each for each in recording.passes if each != "labels"):
+        recording = structs.replace(recording, passes=passes)
+        deque(export_frames(renderer, recording, sequences, numbers), maxlen=0)
+    pictures = first_pictures(renderer, sequences, numbers[0])
+    write_json(folder / "provenance.json", {name: msgspec.to_builtins(each) for name, each in pictures.items()})
+
+
+def _opened(job: RenderJob, scene: Scene, folder: Path) -> tuple[ExportSettings, dict[str, FrameSequence], range]:
+    """Return the recording of a job in a folder, and its frames by camera with their numbers."""
     recording = structs.replace(job.recording, output=str(folder / job.recording.output))
     rainfall = RainSimulation.start(job.rain)
     sequences = export_sequences(recording, scene, rainfall, _viewpoint(job, scene), in_scene_time=True)
-    numbers = frame_numbers(recording, sequences)
-    renderer = cache.renderer(job.backend)
-    deque(export_frames(renderer, recording, sequences, numbers), maxlen=0)
-    pictures = first_pictures(renderer, sequences, numbers[0])
-    write_json(folder / "provenance.json", {name: msgspec.to_builtins(each) for name, each in pictures.items()})
-    if job.labels is not None:
-        deque(write_object_labels(renderer, job.labels, recording, sequences, numbers), maxlen=0)
+    return recording, sequences, frame_numbers(recording, sequences)
 
 
 def _viewpoint(job: RenderJob, scene: Scene) -> Camera | CameraPath:

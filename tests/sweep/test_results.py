@@ -14,7 +14,7 @@ from PIL import Image
 from boxy_scene import boxy_scene
 from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.simulation.rollout_io import read_rollout
-from gsrain_engine.sweep import results
+from gsrain_engine.sweep import results, worker
 from gsrain_engine.sweep.executors import SerialExecutor
 from gsrain_engine.sweep.expansion import jobs_of
 from gsrain_engine.sweep.report import scenario_figure, write_tables
@@ -219,6 +219,32 @@ def test_clips_differ_in_rain_and_share_their_labels(clips, folder):
     labels = [json.loads((each / "labels.coco.json").read_text()) for each in frames]
     assert labels[0]["annotations"] == labels[1]["annotations"] and len(labels[0]["annotations"]) == 4
     assert (frames[1] / "000001.depth.png").is_file()
+
+
+def test_labels_are_drawn_once_for_all_intensities(clips, folder, monkeypatch):
+    calls = []
+    for name in ("write_object_labels", "export_frames"):
+        monkeypatch.setattr(worker, name, _counted(getattr(worker, name), calls))
+    recording = structs.replace(clips.recording, passes=("color", "depth", "labels"))
+    jobs = jobs_of(structs.replace(clips, recording=recording, intensities_mm_h=(0.0, 8.5, 12.0)))
+    assert run(jobs, folder) == SweepRun(3, 0)
+    assert calls.count("write_object_labels") == 1 and calls.count("export_frames") == 1 + 3
+    (shared,) = (folder.path / "labels").iterdir()
+    files = [each.relative_to(shared) for each in shared.rglob("*") if each.is_file()]
+    names = {"000000.labels.png", "000001.labels.png", "labels.coco.json", "labels.json"}
+    assert {each.name for each in files} == names
+    for job in jobs:
+        assert all((folder.clips / job.id / each).read_bytes() == (shared / each).read_bytes() for each in files)
+    other = jobs_of(structs.replace(clips, recording=structs.replace(recording, fps=3.0)))
+    assert other[0].labels_id != jobs[0].labels_id
+
+
+def _counted(function, calls):
+    def counting(*arguments):
+        calls.append(function.__name__)
+        return function(*arguments)
+
+    return counting
 
 
 def test_elsewhere_a_clip_is_the_same_bytes_and_one_that_stands_is_not_drawn_anew(clips, tmp_path, monkeypatch):
