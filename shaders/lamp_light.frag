@@ -16,7 +16,7 @@ uniform vec4 intrinsics;       // fx fy cx cy (px)
 out vec4 fragment;
 
 const float QUARTER = 1.57079632679490, STEP = QUARTER / 4.0, NO_WEIGHT = 1e-3, OPAQUE = 0.98;
-const float SLICES = 40.0, SLICE_SCALE = 16.0, FAR = 1e6, REACH = 2.5, UNSEEN = 0.01;
+const float SLICES = 24.0, SLICE_SCALE = 16.0, FAR = 1e6, REACH = 2.5, UNSEEN = 0.01;
 
 // Light of lamp i, over its intensity, scattered along a ray up to a distance; `b` as its distance from the ray.
 float up_to(int i, vec3 ray, float distance_m, vec3 center, float nearest, float b) {

@@ -23,7 +23,7 @@ from .medium import RainMedium, optical_depth
 from .phase import ANGLES, phase_sums
 
 LAMP_NUMBERS = 18
-SLICES = 40  # of the table over distance
+SLICES = 24  # of the table over distance
 SLICE_SCALE_M = 16.0  # half of the slices are nearer
 FAR_M = 1e6
 CELL_PX = 4  # least distance of the table's rays
@@ -39,7 +39,7 @@ STEP, PIXEL_STEP = np.float32(np.pi / 16), np.float32(np.pi / 8)
 """Longest steps of an integral, by angle: in the table, and at pixels, where the difference of two integrals counts."""
 BLOCK = 4
 """Cells of a block, over which the light of a lamp is interpolated if it is smooth."""
-SMOOTH, LEAST_LIGHT = 0.005, 1e-6
+SMOOTH, LEAST_LIGHT = 0.012, 1e-6
 """Share of the light, and light, that this may be wrong by in the middle of a block, all lamps together."""
 APART = 3.0
 """Distance in blocks from a lamp up to which its light is never interpolated."""

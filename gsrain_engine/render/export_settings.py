@@ -75,7 +75,7 @@ class ExportSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields=
     lod: Annotated[Lod | None, Meta(
         title="Level of detail", extra={"topic": "More", "commands": "render*, drive"},
         description="pixel merges details smaller than a pixel, which makes large scenes faster; off draws every "
-        "Gaussian. None takes pixel from 1.5 million Gaussians on, except for NPY. Depth and labels are always exact.",
+        "Gaussian. None takes pixel from 1 million Gaussians on, except for NPY. Depth and labels are always exact.",
     )] = None
     projection: Annotated[Projection, Meta(
         title="Projection", extra={"topic": "Camera and time", "commands": "render*"},

@@ -20,10 +20,10 @@ FAN_OUT = 4
 MAX_ROOTS = 1024
 """Maximum number of nodes in the uppermost level, which a cut visits all."""
 
-PIXEL = 0.92
+PIXEL = 0.75
 """Maximum error of a drawn node in pixels."""
 
-MIN_GAUSSIANS = 1_500_000
+MIN_GAUSSIANS = 1_000_000
 """Number of Gaussians in a scene from which on images are drawn with a cut by default."""
 
 _DISPLACEMENT = 0.43  # by which children move along an axis, in standard deviations of their node

@@ -13,7 +13,7 @@ from jaxtyping import Float, Float64
 from ...kernels import kernel, range_of
 from ...scene.camera import Camera
 from ...scene.gaussians import SH_C0, Gaussians
-from ...scene.geometry import linear_to_srgb, quaternions_from_matrices
+from ...scene.geometry import linear_to_srgb
 from ...scene.lamps import LitLamps
 from ...scene.lens import view_bounds
 from ...scene.noise import layered_noise, smooth_noise
@@ -114,15 +114,13 @@ def _cells(
     means = eye + nearer[:, None] * np.concatenate([flat, np.full((len(flat), 1), -height)], axis=1)
     alpha = np.minimum(display.max(axis=1), _MAX_ALPHA)
     opacity = np.minimum(-np.log1p(-alpha) / _OVERLAP, 0.99)
-    frame = np.zeros((len(flat), 3, 3))
-    c, s = np.cos(azimuths), np.sin(azimuths)
-    frame[:, 0, 0], frame[:, 1, 0], frame[:, 0, 1], frame[:, 1, 1], frame[:, 2, 2] = c, s, -s, c, 1.0
+    turned = np.zeros((len(flat), 4), np.float32)
+    turned[:, 0], turned[:, 3] = np.cos(azimuths / 2), np.sin(azimuths / 2)
     size = _SPREAD * (nearer * distance)[:, None] * np.array([_STEP, turn])
     scales = np.concatenate([size, np.full((len(flat), 1), 1e-3)], axis=1)
     colors = display / display.max(axis=1, keepdims=True)
     gaussians = Gaussians(
-        means.astype(np.float32), scales.astype(np.float32),
-        np.asarray(quaternions_from_matrices(frame), np.float32), opacity.astype(np.float32),
+        means.astype(np.float32), scales.astype(np.float32), turned, opacity.astype(np.float32),
         ((colors - 0.5) / SH_C0).astype(np.float32)[:, None], antialiased=True,
     )  # fmt: skip
     return DrawItem(gaussians, np.eye(4))

@@ -48,7 +48,7 @@ class MirrorPass:
         parts.items = reflecting_items(parts.items, scene)
         fewer = quality.reflected or quality.thinning
         if quality.reflected is None and isinstance(fewer, LodCut):  # the ground is left out, and hides nothing
-            fewer = replace(fewer, occlusion=False)
+            fewer = replace(fewer, pixel=2 * fewer.pixel, occlusion=False)
         water = frame.wetness, flooded_share(ground.depth.film_mm), frame.light.drops
         share = SHARE if parts.still is None else FAST_SHARE
         reflect = partial(
