@@ -107,6 +107,9 @@ class _OneLine(logging.Formatter):
 
 _Result = TypeVar("_Result")
 
+_ESTIMATED_S = 3600.0
+"""Time whose steps the estimate of the time left takes: steps of minutes, as of sweeps, have one, too."""
+
 
 @contextmanager
 def progress_bar(title: str, total: float) -> Generator[Callable[..., None]]:
@@ -147,7 +150,8 @@ def run_with_progress(work: "Generator[Progress, None, _Result]", line_every_s: 
 
 def _bar(*counts: progress.ProgressColumn, **options: Any) -> progress.Progress:
     times = progress.TimeElapsedColumn(), _WordsColumn("ETA"), progress.TimeRemainingColumn()
-    return progress.Progress(_WordsColumn(), progress.BarColumn(), *counts, *times, **options)
+    words = _WordsColumn(), progress.BarColumn(), *counts, *times
+    return progress.Progress(*words, speed_estimate_period=_ESTIMATED_S, **options)
 
 
 class _WordsColumn(progress.ProgressColumn):

@@ -28,6 +28,16 @@ class Progress(NamedTuple):
     """Line about the input or settings of the work that its result depends on."""
 
 
+def duration_text(seconds: float) -> str:
+    """Duration as people write it: 0.4 s, 42 s, 3:05 min, 2:10 h."""
+    if seconds < 10:
+        return f"{seconds:.1f} s"
+    if seconds < 60:
+        return f"{seconds:.0f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes}:{rest:02d} min" if minutes < 60 else f"{minutes // 60}:{minutes % 60:02d} h"
+
+
 def run_to_end(
     work: Generator[Progress, None, _Result], on_step: Callable[[Progress], object] | None = None
 ) -> _Result:

@@ -1,12 +1,13 @@
 """Running a sweep, resumable after any interruption."""
 
+import time
 from collections.abc import Generator, Sequence
 from contextlib import closing
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple, cast
 
-from ..scene.progress import Progress
+from ..scene.progress import Progress, duration_text
 from ..simulation.agents.registry import agent_code, agent_file
 from ..simulation.interop.hugsim_agent import missing_client_files
 from ..trusted_code import Code, check_trusted, command_code
@@ -26,9 +27,10 @@ class SweepRun(NamedTuple):
 
 
 def run_sweep(jobs: Sequence[Job], engine: Executor, folder: SweepFolder) -> Generator[Progress, None, SweepRun]:
-    """Run jobs and write each row as it arrives; yields progress after each.
+    """Run jobs and write each row as it arrives; yields progress after each, with its time and the time left.
 
-    Closing the generator, or an error, stops running jobs; written rows stay.
+    The time left is that of this run so far, for each of the other jobs. Closing the generator, or an error, stops
+    running jobs; written rows stay.
 
     Raises:
         UntrustedCodeError: Before anything runs, if an agent's Python file is not trusted.
@@ -36,6 +38,7 @@ def run_sweep(jobs: Sequence[Job], engine: Executor, folder: SweepFolder) -> Gen
     """
     by_id = {job.id: job for job in jobs}
     done = failed = 0
+    began_s = time.monotonic()
     if not jobs:
         return SweepRun(0, 0)
     codes = agent_codes(jobs)
@@ -58,7 +61,12 @@ def run_sweep(jobs: Sequence[Job], engine: Executor, folder: SweepFolder) -> Gen
             done, failed = done + 1, failed + (outcome.error is not None)
             counted = f"{done} of {len(jobs)}" + (f", {failed} failed" if failed else "")
             result = outcome.values.get("end") if outcome.error is None else outcome.error
-            yield Progress(done / len(jobs), f"{counted}: {job.title}" + (f": {result}" if result else ""))
+            took = f" ({duration_text(outcome.seconds)})" if outcome.seconds else ""
+            left_s = (time.monotonic() - began_s) / done * (len(jobs) - done)
+            left = f"; {duration_text(left_s)} left" if done < len(jobs) else ""
+            yield Progress(
+                done / len(jobs), f"{counted}: {job.title}" + (f": {result}" if result else "") + took + left
+            )
     return SweepRun(done, failed)
 
 

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import re
 import sys
 
 import pytest
@@ -59,6 +60,8 @@ def test_a_pipe_gets_a_line_for_each_drive(sweep, capsys):
     assert len(lines) == 8
     for number, line in enumerate(lines, start=1):
         assert line.startswith(f"{number / 8:.0%} {number} of 8: ") and "short, " in line
+        took = r" \([\d.:]+ (s|min)\)"
+        assert re.search(took + (r"; [\d.:]+ (s|min) left$" if number < 8 else "$"), line)
 
 
 def test_shares_make_one_table(sweep, tmp_path, capsys):

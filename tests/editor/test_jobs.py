@@ -17,9 +17,9 @@ from editor.files.open_document import full_disk
 from editor.job_work import deaf, ended, endless, failing, hungry, killed, leaving, painting, succeeding
 from gsrain_engine.editor.background import Background
 from gsrain_engine.editor.jobs import process
-from gsrain_engine.editor.jobs.job import Job, JobError, JobRunner, MetricCurves, duration_text
+from gsrain_engine.editor.jobs.job import Job, JobError, JobRunner, MetricCurves
 from gsrain_engine.editor.jobs.process import SharedImage
-from gsrain_engine.scene.progress import Progress
+from gsrain_engine.scene.progress import Progress, duration_text
 from gsrain_engine.threads import WORKER_NICENESS, usable_cores
 
 

@@ -6,9 +6,10 @@ from typing import Any
 
 from imgui_bundle import ImVec2, ImVec4, imgui
 
-from gsrain_engine.editor.jobs.job import Job, JobRunner, duration_text
+from gsrain_engine.editor.jobs.job import Job, JobRunner
 from gsrain_engine.editor.status import LogLine, StatusBus
 from gsrain_engine.editor.viewport_state import ViewportState
+from gsrain_engine.scene.progress import duration_text
 
 from ..widgets.draw import line, plot
 from ..widgets.fields import WARNING, button, combo, faint, warn

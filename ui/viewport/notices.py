@@ -16,8 +16,9 @@ from imgui_bundle import icons_fontawesome_6 as icons
 
 from gsrain_engine.compile_cache import kernel_names
 from gsrain_engine.editor.editor import Editor
-from gsrain_engine.editor.jobs.job import Job, JobRunner, duration_text
+from gsrain_engine.editor.jobs.job import Job, JobRunner
 from gsrain_engine.editor.status import StatusBus
+from gsrain_engine.scene.progress import duration_text
 
 from ..folding import show_panel
 from ..widgets.fields import button

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from ...safe_io.errors import sentence_of
-from ...scene.progress import PENDING, Progress
+from ...scene.progress import PENDING, Progress, duration_text
 from ..background import Background
 from .folder import temporary_folder
 from .process import JobState, Work, WorkerProcess, WorkerThread
@@ -153,16 +153,6 @@ class Job(Generic[_Result]):
         """Free what its functions refer to, such as scenes."""
         self.work = self.inputs = _ended
         self.read = self.snapshot = None
-
-
-def duration_text(seconds: float) -> str:
-    """Duration as people write it: 0.4 s, 42 s, 3:05 min, 2:10 h."""
-    if seconds < 10:
-        return f"{seconds:.1f} s"
-    if seconds < 60:
-        return f"{seconds:.0f} s"
-    minutes, rest = divmod(round(seconds), 60)
-    return f"{minutes}:{rest:02d} min" if minutes < 60 else f"{minutes // 60}:{minutes % 60:02d} h"
 
 
 def _ended(*_: object) -> Any:
