@@ -5,7 +5,7 @@ import logging
 import os
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from functools import cache, update_wrapper
 from pathlib import Path
 from typing import Any, no_type_check
@@ -68,8 +68,9 @@ class ParallelKernel:
 
         def work() -> None:
             # Each wakes two more, so that little work is done before many threads are awake.
-            for _ in range(min(2, threads - 1 - len(others))):
-                others.append(helpers().submit(work))
+            with suppress(RuntimeError):  # as the program ends, no thread begins: this one does the work
+                for _ in range(min(2, threads - 1 - len(others))):
+                    others.append(helpers().submit(work))
             for number in numbers:
                 self.compiled((number, count), *arguments)
 

@@ -2,6 +2,9 @@
 
 import multiprocessing
 import os
+import subprocess
+import sys
+from pathlib import Path
 from threading import Event
 from typing import no_type_check
 
@@ -64,3 +67,27 @@ def test_processes_that_are_forked_after_a_kernel_use_kernels():
     assert counted(2, 100).sum() == 100
     with multiprocessing.get_context("fork").Pool(1) as pool:
         assert pool.apply_async(counted, (2, 1000)).get(60).sum() == 1000
+
+
+ENDING = """
+import sys, threading
+import numpy as np
+from test_kernels import add_one
+from gsrain_engine.threads import limited_kernels
+
+def late():
+    threading.main_thread().join()  # returns as the interpreter ends, with its thread pools already closed
+    values = np.zeros(8)
+    with limited_kernels(3):
+        add_one(values, -1)
+    sys.stdout.write(f"{values.sum():.0f}")
+
+threading.Thread(target=late).start()
+"""
+
+
+def test_a_kernel_is_run_to_its_end_while_the_program_ends():
+    folder = Path(__file__).parent
+    environ = os.environ | {"PYTHONPATH": os.pathsep.join([str(folder), str(folder.parent)])}
+    ended = subprocess.run([sys.executable, "-c", ENDING], env=environ, capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stdout) == (0, "8"), ended.stderr
