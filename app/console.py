@@ -108,7 +108,7 @@ class _OneLine(logging.Formatter):
 _Result = TypeVar("_Result")
 
 _ESTIMATED_S = 3600.0
-"""Time whose steps the estimate of the time left takes: steps of minutes, as of sweeps, have one, too."""
+"""Period whose finished steps give the time left; much longer than a step, which of a sweep takes minutes."""
 
 
 @contextmanager

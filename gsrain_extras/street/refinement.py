@@ -26,7 +26,7 @@ from .mesh import NEAREST_FIRST, Quads, geometric_normals
 GROWTH = 2.0
 """Ratio of a cell's width to that of its neighbor nearer to the edge."""
 
-_MAX_CELLS = 9
+_MAX_CELLS = 9  # one digit, as `_groups` takes them
 _UNSEEN = 4.0  # factor on the cells of surfaces that the front camera does not see: other cameras do
 _FILLED = 4  # minimum number of cells of a surface whose gaps another Gaussian fills, in its middle
 _FILLING_SPREAD = 0.25  # in widths of the surface

@@ -29,8 +29,6 @@ _NEAR_M = 45.0  # maximum distance along the street of trees and vehicles that a
 _END_M, _END_HEIGHT_M = 13.0, 13.0  # distance of the houses across both ends of the street, and their height
 _CROWN_COVER, _VEHICLE_COVER = 0.85, 0.95
 _SOFT_WALL, _SOFT_CROWN, _SOFT_VEHICLE = radians(1.5), 0.05, 0.03  # elevations over which their upper edges fade
-
-
 _FRONT_CELL_M = 0.75
 _FRONT_ROWS = 18
 _END_LIGHT = 0.022, 0.016, 0.010  # by night, of the houses across both ends, with their windows
@@ -72,8 +70,8 @@ class Surroundings(NamedTuple):
         return cls(
             np.broadcast_to(sky, (len(rises), 3)).astype(np.float64),
             np.array([a.start_x_m - _END_M, a.end_x_m + _END_M, a.front_y_m, *_wall_light(layout.ends)]),
-            _walls(layout.left, 0.0),
-            _walls(layout.right, 1.0),
+            _walls(layout.left, 1),
+            _walls(layout.right, -1),
             np.array(crowns).reshape(-1, 8),
             np.array(vehicles).reshape(-1, 8),
             a.start_x_m,
@@ -94,9 +92,14 @@ class Surroundings(NamedTuple):
         return light
 
 
-def _walls(row: tuple[House, ...], from_end: float) -> Float64[np.ndarray, "n 6"]:
-    """Houses of a row; their origin is at the start, or `from_end` of their width after it."""
-    starts = np.array([house.origin[0] - from_end * house.width for house in row])
+def _starts(row: tuple[House, ...], side: int) -> Float64[np.ndarray, " n"]:
+    """Start of each house along x; on the right (-1) its origin is at its end."""
+    return np.array([house.origin[0] - (house.width if side < 0 else 0) for house in row])
+
+
+def _walls(row: tuple[House, ...], side: int) -> Float64[np.ndarray, "n 6"]:
+    """Houses of a row as in `Surroundings`."""
+    starts = _starts(row, side)
     stops = np.append(starts[1:], starts[-1] + row[-1].width)
     heights = np.array([house.eaves + 0.3 * (house.ridge - house.eaves) for house in row])
     return np.column_stack([starts, stops, heights, [_wall_light((house,)) for house in row]])
@@ -234,8 +237,7 @@ def _front_light(light: Illumination) -> Float32[np.ndarray, "2 nx nz 3"]:
     for k, (row, side) in enumerate(((layout.left, 1), (layout.right, -1))):
         wall = panel((0, side * a.front_y_m, 0), (1, 0, 0), (0, 0, 1), x, z, 1.0, Label.BUILDING)
         wall = replace(wall, normals=np.full_like(wall.normals, [0, -side, 0]))
-        starts = np.array([house.origin[0] - (house.width if side < 0 else 0) for house in row])
-        house = np.clip(np.searchsorted(starts, wall.centers[:, 0], side="right") - 1, 0, len(row) - 1)
+        house = np.clip(np.searchsorted(_starts(row, side), wall.centers[:, 0], side="right") - 1, 0, len(row) - 1)
         albedo = np.array([wet_albedo(np.array(each.color)) for each in row])[house]
         lit = 0.85 * albedo * light.light_on(wall, wall.centers)
         cells[k] = lit.reshape(count, _FRONT_ROWS, 3)

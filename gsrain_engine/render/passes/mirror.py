@@ -30,6 +30,8 @@ from .base import Factor, FrameParts
 SHARE, FAST_SHARE = 0.2, 0.12
 """Shares of the Gaussians of a member in the mirror image, which has an eighth of the picture's resolution: of pictures
 that are exact, and of fast ones."""
+_COARSER = 2.0
+"""Error of the cut of a large scene in the mirror image, relative to the picture's, which is not blurred by waves."""
 _FEW = 20_000  # Gaussians of a member that is reflected whole
 
 
@@ -48,7 +50,7 @@ class MirrorPass:
         parts.items = reflecting_items(parts.items, scene)
         fewer = quality.reflected or quality.thinning
         if quality.reflected is None and isinstance(fewer, LodCut):  # the ground is left out, and hides nothing
-            fewer = replace(fewer, pixel=2 * fewer.pixel, occlusion=False)
+            fewer = replace(fewer, pixel=_COARSER * fewer.pixel, occlusion=False)
         water = frame.wetness, flooded_share(ground.depth.film_mm), frame.light.drops
         share = SHARE if parts.still is None else FAST_SHARE
         reflect = partial(
