@@ -26,10 +26,10 @@ from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.render.draw import draw
 from gsrain_engine.render.frame_input import FrameInput, Quality
 from gsrain_engine.render.level_of_detail import LodSubset
-from gsrain_engine.render.mirror_reuse import MirrorReuse
 from gsrain_engine.render.renderer import describe_machine
 from gsrain_engine.render.sky_color import sky_color
 from gsrain_engine.render.view import RenderView
+from gsrain_engine.render.view_reuse import ViewReuse
 from gsrain_engine.scene.open import load_sorted_scene
 from gsrain_engine.scene.rig import rig_camera
 from gsrain_engine.scene.scene import Scene, core_bounds
@@ -68,7 +68,7 @@ class Pictures:
         self._sky = sky_color(self.renderer, scene, place.camera).at(self._rainfall.overcast_at(0.0))
         self._subsets = {each.gaussians: LodSubset(each.gaussians) for each in LEVELS if each.gaussians < 1}
 
-    def draw(self, quality: QualityLevel, view: RenderView, reuse: MirrorReuse) -> Image:
+    def draw(self, quality: QualityLevel, view: RenderView, reuse: ViewReuse) -> Image:
         whole, scale = view.camera, quality.scale
         camera = whole.resized(round(scale * WIDTH), round(scale * HEIGHT))
         view = replace(view, camera=camera, focal_px=quality.focal_share * whole.fx)
@@ -107,8 +107,8 @@ def measured(name: str, preset: str, folder: Path | None) -> dict[str, object]:
     levels = [*LEVELS[1:], *CUT_LEVELS[1:]]
     rows: list[list[dict[str, float]]] = [[] for _ in levels]
     for number, view in enumerate(views):
-        full = on_the_screen(pictures.draw(FULL_QUALITY, view, MirrorReuse(_MIRROR_EVERY)), FULL_QUALITY)
-        reuses, times = [MirrorReuse(_MIRROR_EVERY) for _ in levels], [list[float]() for _ in levels]
+        full = on_the_screen(pictures.draw(FULL_QUALITY, view, ViewReuse(_MIRROR_EVERY)), FULL_QUALITY)
+        reuses, times = [ViewReuse(_MIRROR_EVERY) for _ in levels], [list[float]() for _ in levels]
         shown = {"full": full}
         with half_of_cores():
             for _ in range(2 * _MIRROR_EVERY):

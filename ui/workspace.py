@@ -13,6 +13,7 @@ from gsrain_engine.editor.drawing.textures import CachedTexture, CaptureTextures
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.jobs.make_rainy import PREVIEW_PICTURES
 from gsrain_engine.render.opengl.context import DeviceLostError, is_software
+from gsrain_engine.render.opengl.warp import PictureWarp, can_warp
 
 from .dialogs import CommandPalette, about_page, draw_questions, keyboard_page, news_page, series_page
 from .folding import FoldedPanels, panel_windows, show_panel
@@ -32,6 +33,7 @@ _IDLE_FPS = 0.3  # A frame costs 80 ms in software rendering; events wake up the
 _WAITING_FPS = 3.0  # while what the first picture needs is read and compiled, which needs the processor
 _WATCHING_FPS = 10.0  # frame rate for progress bars while workers run without user input
 _SOFTWARE_FPS = 36.0  # maximum frame rate of a software rasterizer: picture and jobs need the cores, too
+_MAX_FRAME_S = 0.1  # a longer frame is a stall
 _ACTIVE_S, _ACTIVE_FRAMES = 3.0, 6  # after an event, before a window at rest sleeps
 
 
@@ -56,8 +58,9 @@ class Workspace:
         self.folded = FoldedPanels()
         self._pace = FrameClock()
         self._capture = editor.captures.capture
+        self._warps = PictureWarp(context), PictureWarp(context)
         self._last_problem = ""
-        self._began_s = self._took_s = 0.0
+        self._began_s = self._took_s = self._frame_s = 0.0
         self._plays = False
         self._view_size = 16, 16
         self._drawn, self._front = set[str](), ("",)
@@ -109,7 +112,8 @@ class Workspace:
     def update(self) -> None:
         """Advance time. Call it once per frame, before drawing."""
         editor, viewport, wet_look = self.editor, self.editor.viewport, self.editor.wet_look
-        self._began_s = time.perf_counter()
+        now = time.perf_counter()
+        self._frame_s, self._began_s = min(now - self._began_s, _MAX_FRAME_S), now
         front = self._settled_front or self._first_front
         self.folded.update({each.title for each in all_panels() if each.title in front})
         self._take_picture()
@@ -167,7 +171,7 @@ class Workspace:
             self._capture = capture
             if capture is not None:  # the view shows nothing of a capture without poses
                 show_panel("Capture")
-        width, height = viewport_panel(editor, self.tools, self.pictures.last, self.folded)
+        width, height = viewport_panel(editor, self.tools, self.pictures.last, self._warped(), self.folded)
         self._captures.draw_points(
             editor.captures, editor.document.scene, editor.viewport.canvas_view(width, height).camera
         )
@@ -184,12 +188,23 @@ class Workspace:
         series_page(editor)
         draw_questions(editor.viewport, editor.files, editor.status)
 
+    def _warped(self) -> list[moderngl.Texture]:
+        """Textures of the last picture, warped to when this frame is on the screen if something has moved since."""
+        last, viewport = self.pictures.last, self.editor.viewport
+        textures, view = list(last.textures), viewport.shot(*self._view_size, ahead_s=self._frame_s)
+        for side, relief in enumerate(last.reliefs):
+            if relief is not None and can_warp(relief, view.camera, view.time_s):
+                textures[side] = self._warps[side].show(textures[side], relief, view.camera, view.time_s)
+                viewport.picture_view = view
+        return textures
+
     def close(self) -> None:
         """Wait for the picture that is being drawn, and stop its thread. Further calls do nothing."""
         self.pictures.close()
 
     def _begin_picture(self) -> None:
-        self.pictures.begin(self.editor.render_input(*self._view_size), self.editor.mosaic_input())
+        frame = self.editor.render_input(*self._view_size, self.pictures.ahead_s)
+        self.pictures.begin(frame, self.editor.mosaic_input())
 
     def _take_picture(self) -> None:
         try:

@@ -1,5 +1,6 @@
 """The editor without a window: its parts, opening and closing, and the frames that a live view draws of it."""
 
+import time
 from collections.abc import Hashable
 from pathlib import Path
 
@@ -183,6 +184,7 @@ class Editor:
         """Advance time and process finished background work. Once a frame."""
         viewport = self.viewport
         self.playback.advance(real_s if self.has_time and not self.awaits_first_picture else 0.0)
+        viewport.motion.observe(viewport.navigation, time.perf_counter())
         viewport.drawn_preview, viewport.preview = viewport.preview, None
         viewport.following.ride(self.rollouts.displayed_scene, self.playback.clock.time_s, viewport.navigation)
         for part in (
@@ -246,18 +248,23 @@ class Editor:
         scene, keyframes = self.document.scene, self.document.keyframes.keys
         return self.is_animated or scene.ego is not None or scene.path is not None or len(keyframes) > 1
 
-    def render_input(self, width: int, height: int) -> RenderInput:
-        """The next frame for a viewport of a size in pixels."""
+    def render_input(self, width: int, height: int, ahead_s: float = 0.0) -> RenderInput:
+        """The next frame for a viewport of a size in pixels, as it is expected to be in `ahead_s`."""
         viewport, live_rain, options = self.viewport, self.live_rain, self.viewport.options
         is_animated = self.playback.clock.playing and self.is_animated
         view, quality = viewport.scaled_shot(
-            width, height, self._content, is_animated=is_animated, stands=is_animated and self._can_stand_still
+            width,
+            height,
+            self._content,
+            is_animated=is_animated,
+            stands=is_animated and self._can_stand_still,
+            ahead_s=ahead_s,
         )
         pick, rain = viewport.sky_pick, live_rain.simulation
         return RenderInput(
             panes=self.split_panes,
             view=view,
-            canvas_view=viewport.shot(width, height),
+            canvas_view=viewport.shot(width, height, ahead_s=ahead_s),
             quality=quality,
             is_moving=viewport.is_moving,
             is_playing=self.playback.clock.playing,
@@ -284,6 +291,7 @@ class Editor:
         viewport.is_compiling, viewport.is_catching_up = result.is_compiling, result.is_catching_up
         viewport.is_preparing, viewport.kernels = result.is_preparing, result.kernels
         viewport.budget.has_cuts = result.has_cuts
+        viewport.budget.is_warped = any(each is not None for each in result.reliefs)
         for problem in result.problems:
             self.status.report(problem)
         if result.drawn is not None:

@@ -1,6 +1,6 @@
 """Playback, and the timeline panel: ruler, selected keyframe, drags, and rows."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -137,6 +137,12 @@ class Playback:
 
     def advance(self, real_s: float) -> None:
         self.clock.advance(real_s, self.span_s)
+
+    def time_ahead(self, real_s: float) -> float:
+        """Time that the clock will show after real seconds."""
+        later = replace(self.clock)
+        later.advance(real_s, self.span_s)
+        return later.time_s
 
     def nearest_frame_time(self, time_s: float) -> float:
         return round(time_s * self.timeline.fps) / self.timeline.fps

@@ -16,7 +16,7 @@ from .background import Background
 from .document import Document, DocumentState, Recipe
 from .edits.members import replace_scene
 from .timeline import Playback
-from .viewport.camera import OrbitCamera, find_scene_core, home_viewport_camera
+from .viewport.camera import NavigationMotion, OrbitCamera, find_scene_core, home_viewport_camera
 from .viewport.camera_follow import ActorFollower, ChaseCamera, PathFollower
 from .viewport.obstacles import ObstacleFinder
 from .viewport.options import FULL_QUALITY, AdaptiveQuality, QualityLevel, Texture, ViewOptions
@@ -66,6 +66,7 @@ class ViewportState:
         """Quality of the present image."""
         self.is_moving = False
         """True if the camera has moved since the last frame."""
+        self.motion = NavigationMotion()
         self.statistics: dict[str, float] = {}
         """Figures of the last frame by name, in the order of the Statistics panel."""
         self.full_ms_per_megapixel: float | None = None
@@ -119,15 +120,14 @@ class ViewportState:
             self.navigation.look_like(self.shot(*_VIEW_SIZE).camera)
             self.options.follow_path = False
 
-    def shot(self, width: int, height: int, focal_scale: float = 1.0) -> RenderView:
-        """Present view of the viewport; `focal_scale` is output size over rendered size."""
-        clock = self.playback.clock
-        t = clock.time_s
+    def shot(self, width: int, height: int, focal_scale: float = 1.0, *, ahead_s: float = 0.0) -> RenderView:
+        """View of the viewport, at present or as expected in a moment; `focal_scale` is output size over drawn size."""
+        t = self.playback.time_ahead(ahead_s) if ahead_s else self.playback.clock.time_s
         if self.options.follow_path:
             camera = self.path.camera(t, width, height)
-            is_still = not self.path.is_timed and not clock.playing  # untimed photos, viewed one by one
+            is_still = not self.path.is_timed and not self.playback.clock.playing  # untimed photos, viewed one by one
             return RenderView(camera, t, None if is_still else self.path.velocity(t), camera.fx * focal_scale)
-        camera = self.navigation.camera(width, height)
+        camera = self.motion.expected(self.navigation, ahead_s).camera(width, height)
         ride = self.following.velocity_m_s if self.chase.velocity_m_s is None else self.chase.velocity_m_s
         velocity = self.navigation.velocity_m_s if ride is None else self.navigation.velocity_m_s + ride
         return RenderView(camera, t, velocity, camera.fx * focal_scale)
@@ -139,12 +139,19 @@ class ViewportState:
         return view if view is not None and is_fitting else self.shot(width, height)
 
     def scaled_shot(
-        self, width: int, height: int, content: Hashable = None, *, is_animated: bool, stands: bool = False
+        self,
+        width: int,
+        height: int,
+        content: Hashable = None,
+        *,
+        is_animated: bool,
+        stands: bool = False,
+        ahead_s: float = 0.0,
     ) -> tuple[RenderView, QualityLevel]:
         """View of the next frame, in the resolution of its quality: reduced if needed while something changes.
 
-        `content` is what the picture shows, but for camera and time. `is_animated` is true if it changes although the
-        camera rests; `stands`, if it can be drawn over a backdrop then.
+        It is the one expected in `ahead_s`. `content` is what the picture shows, but for camera and time. `is_animated`
+        is true if it changes although the camera rests; `stands`, if it can be drawn over a backdrop then.
         """
         detail = self._observe(self.shot(width, height), content, is_animated=is_animated, stands=stands)
         if self.screenshot is not None:
@@ -152,7 +159,7 @@ class ViewportState:
         scale = detail.scale / self.options.shrink
         drawn_height = max(1, round(height * scale))
         focal_scale = detail.focal_share * height / drawn_height
-        return self.shot(max(1, round(width * scale)), drawn_height, focal_scale), detail
+        return self.shot(max(1, round(width * scale)), drawn_height, focal_scale, ahead_s=ahead_s), detail
 
     def _observe(self, now: RenderView, content: Hashable, *, is_animated: bool, stands: bool) -> QualityLevel:
         before, at = self._last_view, time.perf_counter()

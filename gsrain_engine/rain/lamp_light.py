@@ -598,6 +598,11 @@ def share_of_depth(depth_m: Float32[np.ndarray, "*n"]) -> Float32[np.ndarray, "*
     return depth_m / (depth_m + np.float32(SLICE_SCALE_M))
 
 
+def depth_of_share(share: Float32[np.ndarray, "*n"]) -> Float32[np.ndarray, "*n"]:
+    """Depth in meters of a `share_of_depth`; of a mean of shares, one that near surfaces weigh more in."""
+    return share * np.float32(SLICE_SCALE_M) / np.maximum(1 - share, np.float32(1e-6))
+
+
 def light_in_picture(
     lit: LampLight,
     depth_share: Float32[np.ndarray, "h w"],

@@ -21,10 +21,10 @@ from ..water.leveled_ground import LeveledView, leveled_view
 from ..water.mirror import has_mirror, standing_water
 from .bands import PictureBands
 from .level_of_detail import Thinning
-from .mirror_reuse import MirrorReuse
 from .photograph import Photograph
 from .still_scene import StillScene
 from .view import RenderView, rain_camera
+from .view_reuse import ViewReuse
 
 
 @runtime_checkable
@@ -50,8 +50,8 @@ class Quality:
     """The same in mirrors; None for that of the picture."""
     selection: bool = False
     """Tint selected Gaussians."""
-    reuse: MirrorReuse | None = None
-    """Draws fewer mirrors."""
+    reuse: ViewReuse | None = None
+    """Draws fewer mirrors, and views behind wet glass."""
     still: StillScene | None = None
     """Draws what stands still only once, by a renderer that can."""
     bands: PictureBands | None = None

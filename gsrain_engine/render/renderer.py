@@ -66,6 +66,8 @@ class Frame:
     """
     filters: tuple[PictureFilter, ...] = ()
     """Effects on the 8-bit image, such as glass and sensor; floats are without them."""
+    rough_depth: "Callable[[], Float32[np.ndarray, 'h w']] | None" = None
+    """Computes a depth of the scene from what the image was made of, also where `depth` would be drawn for itself."""
 
     def over(self, background: Color = (0.0, 0.0, 0.0)) -> Float32[np.ndarray, "h w 3"]:
         alpha = self.rgba[..., 3:]

@@ -12,7 +12,7 @@ from gsrain_engine.editor.clock import PlaybackClock
 from gsrain_engine.editor.document import Document, DocumentState
 from gsrain_engine.editor.status import StatusBus
 from gsrain_engine.editor.timeline import Playback
-from gsrain_engine.editor.viewport.camera import OrbitCamera, find_scene_core, home_camera, is_in_view
+from gsrain_engine.editor.viewport.camera import NavigationMotion, OrbitCamera, find_scene_core, home_camera, is_in_view
 from gsrain_engine.editor.viewport.options import (
     CUT_LEVELS,
     FULL_QUALITY,
@@ -265,3 +265,62 @@ def test_turning_upwards_shows_what_is_above_and_ends_before_the_zenith():
     assert navigation.camera(WIDTH, HEIGHT).camera_to_world[2, 2] == pytest.approx(np.sin(0.3))
     navigation.turn(0.0, 9.0)
     assert 1.4 < navigation.pitch < np.pi / 2
+
+
+def moved(navigation, motion, frames, step):
+    for frame in range(frames):
+        motion.observe(navigation, 0.05 * frame)
+        step(navigation)
+    motion.observe(navigation, 0.05 * frames)
+
+
+def test_a_moving_camera_is_expected_to_go_on_and_one_that_stands_to_stay():
+    navigation, motion = OrbitCamera(heading=np.pi - 0.05), NavigationMotion()
+    assert motion.expected(navigation, 0.2) is navigation
+    moved(navigation, motion, 5, lambda each: (each.fly(1, 0, 0, 0.05), each.turn(0.02, 0.01)))
+    later = motion.expected(navigation, 0.2)
+    ahead_m = np.linalg.norm(later.position - navigation.position)
+    assert 0.5 < ahead_m / (0.2 * navigation.speed_m_s) < 1.0
+    turned = np.mod(later.heading - navigation.heading, 2 * np.pi)  # over the seam at 180 degrees
+    assert 0.5 < turned / (0.2 * 0.02 / 0.05) < 1.0 and later.pitch > navigation.pitch
+    moved(navigation, motion, 4, lambda each: None)
+    assert motion.expected(navigation, 0.2) is navigation
+
+
+def test_a_jump_to_another_place_is_no_motion():
+    navigation, motion = OrbitCamera(), NavigationMotion()
+    moved(navigation, motion, 4, lambda each: None)
+    navigation.position = np.array([100.0, 0.0, 1.5])
+    moved(navigation, motion, 1, lambda each: None)
+    assert motion.expected(navigation, 0.2) is navigation
+
+
+def test_a_view_ahead_of_time_is_that_of_the_path_then_and_time_stands_while_paused():
+    viewport = viewport_of(small_scene())
+    clock = viewport.playback.clock
+    viewport.ride(True)
+    clock.seek(1.0)
+    clock.speed = 2.0
+    ahead = viewport.shot(WIDTH, HEIGHT, ahead_s=0.5)
+    clock.seek(2.0)
+    then = viewport.shot(WIDTH, HEIGHT)
+    assert ahead.time_s == then.time_s == 2.0
+    assert np.array_equal(ahead.camera.world_to_camera, then.camera.world_to_camera)
+    end = viewport.playback.span_s[1]
+    clock.seek(end - 0.1)
+    assert viewport.shot(WIDTH, HEIGHT, ahead_s=0.5).time_s == pytest.approx(0.9)  # from the start once more
+    assert clock.time_s == end - 0.1
+    clock.playing = False
+    assert viewport.shot(WIDTH, HEIGHT, ahead_s=0.5).time_s == clock.time_s
+
+
+def test_pictures_that_are_warped_may_take_longer_unless_the_camera_stands():
+    def settled(is_warped, **state):
+        budget = AdaptiveQuality(has_cuts=True, is_warped=is_warped)
+        for _ in range(60):
+            detail = budget.observe(moving=True, real_s=0.2, **state)
+            budget.measured(detail, 20.0 + 300.0 * detail.scale**2)
+        return detail.scale
+
+    assert settled(True) > 1.5 * settled(False)
+    assert settled(True, stands=True) == settled(False, stands=True)

@@ -14,11 +14,12 @@ from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.render.draw import draw
-from gsrain_engine.render.frame_input import FALLING, FILTERS, FrameInput
-from gsrain_engine.render.passes import registry
+from gsrain_engine.render.frame_input import FALLING, FILTERS, FrameInput, Quality
+from gsrain_engine.render.passes import glass, registry
 from gsrain_engine.render.passes.base import Factor, Pass
 from gsrain_engine.render.provenance import provenance_of
 from gsrain_engine.render.renderer import PictureFilter
+from gsrain_engine.render.view_reuse import ViewReuse
 from rain.test_available import SCENE, SKY, VIEW
 from small_scene import small_scene
 
@@ -76,6 +77,17 @@ def test_a_new_effect_is_a_class_and_a_row(monkeypatch):
     assert found.weather(frozenset(found.names)).without == frozenset()
     (part,) = rain_attributions(rain, ("streaks", "vignette"), None, small_scene(), (25.0,), (0,), in_front=False)
     assert part.factors.names == ("streaks", "vignette")
+
+
+def test_fast_pictures_share_the_view_behind_wet_glass_and_others_do_not(monkeypatch):
+    rain, drawn, sample = RainSettings(intensity_mm_h=25.0, glass="windshield", glass_wet_s=4.0), [], glass.LodSample
+    monkeypatch.setattr(glass, "LodSample", lambda *share: (drawn.append(share), sample(*share))[1])
+    for quality, count in ((Quality(), 4), (Quality(reuse=ViewReuse(1)), 2)):
+        drawn.clear()
+        frame = frame_in(rain, quality=quality)
+        pictures = [draw(CpuRenderer(), frame).read_uint8() for _ in range(4)]
+        assert len(drawn) == count
+        assert all(np.array_equal(each, pictures[0]) for each in pictures)
 
 
 @pytest.mark.parametrize("backend", ["cpu", "opengl-quads", "opengl-tiles"])

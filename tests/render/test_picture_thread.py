@@ -11,6 +11,7 @@ import pytest
 from PIL import Image
 
 from gsrain_engine.editor import viewport_state
+from gsrain_engine.editor.drawing import picture_thread
 from gsrain_engine.editor.drawing.live_view import LiveView, MosaicImages
 from gsrain_engine.editor.drawing.picture_thread import PictureThread
 from gsrain_engine.editor.edits.members import replace_scene
@@ -152,6 +153,28 @@ def test_a_picture_of_full_quality_is_given_up_for_a_newer_view_but_never_two_in
     editor.document.change_rain("Seed", seed=3)
     assert not drawn(lambda: editor.document.change_rain("Seed", seed=4))
     assert drawn(lambda: None) and drawn(orbit) is False  # the last view is up to date, so that nothing was drawn
+    pictures.close()
+
+
+def test_pictures_that_take_long_are_drawn_for_when_they_are_on_the_screen(editor, monkeypatch):
+    """Those of the processor, which are warped when something goes on in another way than expected."""
+    pictures = PictureThread(OwnContext(), "cpu")
+    while not (pictures.is_settled and pictures.last.reliefs):
+        begin(editor, pictures)
+        finish(editor, pictures)
+    monkeypatch.setattr(picture_thread, "_SHORT_S", 0.0)
+    editor.viewport.ride(True)
+    clock = editor.playback.clock
+    clock.seek(1.0)
+    clock.playing = True
+    begin(editor, pictures)
+    finish(editor, pictures)
+    assert 0 < pictures.ahead_s <= 0.6
+    monkeypatch.setattr(picture_thread, "_SHORT_S", 60.0)
+    assert pictures.ahead_s == 0
+    frame = editor.render_input(*SIZE, ahead_s=0.5)
+    assert frame.view.time_s == frame.canvas_view.time_s == 1.5
+    assert frame.view.camera.position[0] > editor.viewport.shot(*SIZE).camera.position[0] + 0.9
     pictures.close()
 
 

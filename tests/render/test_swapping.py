@@ -8,10 +8,13 @@ import pytest
 from PIL import Image
 
 from gsrain_engine.editor.drawing import live_view
+from gsrain_engine.editor.drawing.live_trees import LiveTrees
 from gsrain_engine.editor.drawing.live_view import LiveView, SkyColorSampler
 from gsrain_engine.editor.edits.members import replace_scene
 from gsrain_engine.editor.viewport_state import PendingScene
 from gsrain_engine.rain.settings import load_preset
+from gsrain_engine.render.cpu.renderer import CpuRenderer
+from gsrain_engine.render.level_of_detail import LodSubset
 from gsrain_engine.render.opengl.renderer import SplatRenderer
 from gsrain_engine.render.sky_color import sky_color
 from gsrain_engine.scene.camera import Camera, look_at
@@ -173,3 +176,20 @@ def test_large_scenes_are_looked_at_in_part_first_and_in_full_at_rest(renderer, 
     assert len(looks) == 2
     assert looks[1] == sky_color(renderer, other, HERE)
     np.testing.assert_allclose(looks[0].light, looks[1].light, atol=0.1)
+
+
+def test_a_first_look_at_a_large_scene_merges_details_and_comes_close_to_the_last(monkeypatch):
+    watch, scene, trees, cpu = SkyColorSampler(), small_scene(), LiveTrees(), CpuRenderer()
+    sky = patch((120, -150, -20), np.array([0, 300.0, 0]), np.array([0, 0, 170.0]), 70, (0.4, 0.6, 0.9))
+    sky = sky.with_sh(sky.sh + np.random.default_rng(0).uniform(-0.7, 0.7, sky.sh.shape).astype(np.float32))
+    scene = replace(scene, layers=(*scene.layers[:2], Layer("sky", sky, kind="sky")))
+    trees.follow([scene], at_once=True)
+    trees.wait()
+    trees.follow([scene])
+    monkeypatch.setattr(live_view, "_QUICK", 60)
+    first = watch.look(cpu, scene, HERE, None, trees, resting=False)
+    exact = sky_color(cpu, scene, HERE)
+    few = sky_color(cpu, scene, HERE, thinning=LodSubset(60 / scene.gaussian_count))
+    np.testing.assert_allclose(first.light.airlight, exact.light.airlight, atol=0.01)
+    assert np.abs(np.subtract(few.light.airlight, exact.light.airlight)).max() > 0.02
+    assert not watch.is_exact

@@ -12,8 +12,8 @@ from gsrain_engine.rain.wetness import water_depth_mm
 from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.render.draw import draw
 from gsrain_engine.render.frame_input import FrameInput, Quality
-from gsrain_engine.render.mirror_reuse import MirrorReuse
 from gsrain_engine.render.view import RenderView
+from gsrain_engine.render.view_reuse import ViewReuse
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from gsrain_engine.scene.gaussians import SH_C0, Gaussians
@@ -222,7 +222,7 @@ def test_the_same_bytes_and_nothing_without_water():
 
 
 def test_fast_pictures_share_a_mirror_which_is_drawn_anew_for_every_third_and_for_another_size():
-    scene, reuse = pond(), MirrorReuse(3)
+    scene, reuse = pond(), ViewReuse(3)
     shots = [RenderView(camera(), time_s) for time_s in (1.0, 2.0, 3.0, 4.0)]  # rings differ
     shots.append(RenderView(camera(96, 60), 4.0))
     is_exact = [np.array_equal(picture(scene, shot, reuse=reuse), picture(scene, shot)) for shot in shots]

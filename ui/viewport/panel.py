@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+import moderngl
 from imgui_bundle import ImVec2, ImVec4, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
@@ -26,13 +27,19 @@ from .overlays import OVERLAYS, draw_divider, draw_spinner, preview_side
 _OUTLINE = {"streak region": ImVec4(0.45, 0.85, 1.0, 0.9), "haze region": ImVec4(1.0, 0.8, 0.45, 0.9)}
 
 
-def viewport_panel(editor: Editor, tools: Sequence[Tool], picture: DrawResult, folded: FoldedPanels) -> tuple[int, int]:
-    """Draw the panel with the last picture. Returns width and height of the next one in pixels."""
+def viewport_panel(
+    editor: Editor,
+    tools: Sequence[Tool],
+    picture: DrawResult,
+    shown: Sequence[moderngl.Texture],
+    folded: FoldedPanels,
+) -> tuple[int, int]:
+    """Draw the panel with what is `shown` of the last picture. Returns width and height of the next one in pixels."""
     view_bar(editor)
     size = imgui.get_content_region_avail()
     width, height = max(int(size.x - folded.width), 16), max(int(size.y), 16)
     corner = imgui.get_cursor_screen_pos()
-    textures = [texture.glo for texture in picture.textures]
+    textures = [texture.glo for texture in shown]
     at = round(editor.viewport.options.divider * width) if len(textures) == 2 else 0
     if at > 0:
         imgui.image(imgui.ImTextureRef(textures[0]), ImVec2(at, height), ImVec2(0, 0), ImVec2(at / width, 1))

@@ -9,6 +9,7 @@ from ...choices import RenderMode
 from ...rain.frame import SkyLight
 from ...rain.simulation import RainSimulation
 from ...render.opengl.buffers import Harmonics
+from ...render.relief import Relief
 from ...render.renderer import Color
 from ...render.sky_color import SkyColor
 from ...render.view import RenderView
@@ -88,6 +89,8 @@ class DrawResult:
     """Input of the frame."""
     textures: "tuple[moderngl.Texture, ...]" = ()
     """One per pane, each with the whole image, first row on top."""
+    reliefs: tuple[Relief | None, ...] = ()
+    """One per texture, to warp it to a camera that has moved on; None if its renderer has none."""
     drawn: DrawnImage | None = None
     """None if the last images were still valid."""
     is_compiling: bool = False

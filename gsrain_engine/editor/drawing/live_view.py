@@ -21,14 +21,16 @@ from ...render.draw import draw
 from ...render.frame_input import CameraMemory, FrameInput, Mount, Quality
 from ...render.images import write_png
 from ...render.level_of_detail import LodCut, LodSubset, Thinning
-from ...render.mirror_reuse import MirrorReuse
 from ...render.opengl.buffers import GpuArrays
 from ...render.opengl.context import check_context
 from ...render.opengl.renderer import Screen, SplatRenderer
 from ...render.passes.glass import ego_motion
+from ...render.relief import Relief
 from ...render.renderer import Color, DrawnPicture, Renderer, timed
 from ...render.sky_color import SkyColor, sample_sky
 from ...render.still_scene import StillScene
+from ...render.view import RenderView
+from ...render.view_reuse import ViewReuse
 from ...scene.camera import Camera
 from ...scene.gaussians import Gaussians, IdentityKey
 from ...scene.lod_tree import MIN_GAUSSIANS, PIXEL, merged_harmonics
@@ -127,7 +129,7 @@ class LiveView:
             self._upload.give_up()
             self._opengl.arrays.release_everything()
             problem = f"{error}: the processor draws from now on"
-            return DrawResult(frame, self.last_textures, is_compiling=True, problems=[problem])
+            return DrawResult(frame, self.last_textures, self.last_reliefs, is_compiling=True, problems=[problem])
 
     def _draw(self, frame: RenderInput) -> DrawResult:
         if self._cpu is not None and self._cpu.has_failed:
@@ -175,7 +177,7 @@ class LiveView:
             result.has_screenshot = True
         samples = frame.samples_sky and not result.sky_is_exact and not self._sky.is_through
         result.is_catching_up = self._is_uploading or (samples and self._can_draw)
-        result.textures, result.is_settled = self.last_textures, self.is_settled
+        result.textures, result.reliefs, result.is_settled = self.last_textures, self.last_reliefs, self.is_settled
         result.has_cuts = self._on_cpu and frame.mode == "splats" and self.trees.cover(scenes)
         self._unused_sky = None
         return result
@@ -195,8 +197,13 @@ class LiveView:
         """Last textures, one per pane."""
         return tuple(pane.texture for pane in self._panes[-self._pane_count :])
 
+    @property
+    def last_reliefs(self) -> tuple[Relief | None, ...]:
+        """Reliefs of the last textures."""
+        return tuple(pane.relief for pane in self._panes[-self._pane_count :])
+
     def draw_aside(
-        self, images: MosaicInput, camera: RigCamera, screen: Screen, reuse: MirrorReuse
+        self, images: MosaicInput, camera: RigCamera, screen: Screen, reuse: ViewReuse
     ) -> moderngl.Texture | None:
         """Draw a small image next to the viewport after `draw`, or None; in playback with fewer Gaussians, mirrors."""
         if not self._can_draw or (not self._on_cpu and self._upload.missing(images.scene) > _CHUNK_SIZE):
@@ -249,7 +256,7 @@ class LiveView:
             self._upload.give_up()
             self._opengl.arrays.release_everything()
             for pane in self._panes:
-                pane.still, pane.reuse = StillScene(), MirrorReuse(_MIRROR_EVERY)
+                pane.still, pane.reuse, pane.relief = StillScene(), ViewReuse(_MIRROR_EVERY), None
             if self._cpu is not None:
                 self._cpu.renderer.release_scenes()
         self._is_empty = is_empty
@@ -262,8 +269,10 @@ class LiveView:
         """Continue to sample the sky color if it is out of date, and measure a color that was picked."""
         if frame.samples_sky:
             resting, whole = not (frame.is_moving or frame.is_playing), frame.screenshot is not None
-            camera = frame.view.camera
-            result.sky = self._sky.look(self._renderer, frame.scene, camera, frame.sky, resting=resting, at_once=whole)
+            camera, trees = frame.view.camera, self.trees if self._on_cpu else None
+            result.sky = self._sky.look(
+                self._renderer, frame.scene, camera, frame.sky, trees, resting=resting or self._on_cpu, at_once=whole
+            )
             if result.sky is None and self._sky.is_through:
                 result.sky = self._unused_sky
             self._unused_sky = result.sky
@@ -298,6 +307,7 @@ class LiveView:
         is_alone = quality.is_exact or not (frame.is_moving or frame.is_playing)
         with self._interruptible(), nullcontext() if is_alone else half_of_cores():
             picture = draw(self._renderer, whole)
+            pane.relief = self._relief(scene, frame.view)
         sharpness = SHARPNESS if quality.scale < 1 else 0.0
         with timed(picture.passes_ms, "show"):
             texture = self._texture(picture, name, frame.background)
@@ -305,6 +315,11 @@ class LiveView:
         pane.rows_ms = picture.rows_ms
         pane.state, pane.scene = state, scene
         return True
+
+    def _relief(self, scene: Scene, view: RenderView) -> Relief | None:
+        """Relief of the processor's last picture; OpenGL draws pictures faster than cameras move on."""
+        depth = None if self._cpu is None or not self._on_cpu else self._cpu.renderer.read().rough_depth
+        return None if depth is None else Relief.of(depth(), view.camera, scene, view.time_s)
 
     @contextmanager
     def _interruptible(self) -> Generator[None]:
@@ -416,9 +431,10 @@ class _PaneImage:
     def __init__(self, context: moderngl.Context) -> None:
         self.screen = Screen(context)
         self.texture = context.texture((1, 1), 4, np.zeros(4, np.uint8))
+        self.relief: Relief | None = None
         self.state: Hashable = None
         self.scene: Scene | None = None
-        self.reuse = MirrorReuse(_MIRROR_EVERY)
+        self.reuse = ViewReuse(_MIRROR_EVERY)
         self.still = StillScene()
         self.rows_ms: dict[str, float] = {}
         """Time of each row of *Statistics* in its last picture."""
@@ -492,7 +508,8 @@ def uploads_of(members: Iterable[Layer | Actor]) -> Iterator[tuple[Gaussians, Fl
 # Sky color, sampled after each change of the scene, one image a frame, so that no frame stalls
 
 _ELSEWHERE_M = 2.0  # from where no sky was found
-_QUICK = 60_000  # number of Gaussians that a first sample draws; a second, full one follows when nothing moves
+_QUICK = 60_000  # number of Gaussians that a first sample draws; a second, full one follows
+_MERGED_PX = 1.0  # details that are merged instead, where there are trees
 
 
 class SkyColorSampler:
@@ -525,13 +542,15 @@ class SkyColorSampler:
         scene: Scene,
         place: Camera,
         present: SkyColor | None = None,
+        trees: LiveTrees | None = None,
         *,
         resting: bool,
         at_once: bool = False,
     ) -> SkyColor | None:
         """Continue by one image, or to the end if `at_once`; return the sky color when a sample is complete.
 
-        A sample without any sky, as from inside of a house, leaves the `present` one, if that was found in the scene.
+        A first sample merges details by `trees`, or has fewer Gaussians; unless `resting`, no other one follows. A
+        sample without any sky, as from inside of a house, leaves the `present` one, if that was found in the scene.
         """
         state = _visible_state(scene)
         is_new, stays = state != self._sampled, state == self._requested and renderer is self._renderer
@@ -545,7 +564,8 @@ class SkyColorSampler:
         count = sum(len(each.gaussians) for each in scene.members if each.visible)
         is_full = count <= _QUICK or at_once or (resting and not is_new)
         if self._progress is None or not stays or is_full != self._is_full:
-            thinning = None if is_full else LodSubset(_QUICK / count)
+            fewer = None if is_full else LodSubset(_QUICK / count)
+            thinning = fewer if trees is None or fewer is None else LiveCut(_MERGED_PX, trees, fewer)
             self._progress, self._is_full = sample_sky(renderer, scene, place, thinning=thinning), is_full
         to_the_end = at_once or self._sampled is None
         if not (stays or to_the_end):
@@ -593,7 +613,7 @@ class MosaicImages:
         self._context, self._clock = context, clock
         self._pauses_until = -math.inf
         self._screens: dict[str, Screen] = {}
-        self._mirrors: dict[str, MirrorReuse] = {}
+        self._mirrors: dict[str, ViewReuse] = {}
         self._states: dict[str, Hashable] = {}
         self._pictures: dict[str, Texture] = {}
         self._turn: list[str] = []
@@ -615,7 +635,7 @@ class MosaicImages:
             return MosaicResult(dict(self._pictures), is_behind=True)
         name = stale[0]
         screen = self._screens.setdefault(name, Screen(self._context))
-        reuse = self._mirrors.setdefault(name, MirrorReuse(_MIRROR_EVERY))
+        reuse = self._mirrors.setdefault(name, ViewReuse(_MIRROR_EVERY))
         texture = view.draw_aside(images, cameras[name], screen, reuse)
         if texture is not None:
             self._pictures[name] = Texture(texture.glo, texture.width, texture.height)

@@ -1,6 +1,7 @@
 """The viewport's pictures, drawn on a thread of their own, so that the interface never waits for one."""
 
 import threading
+import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import NamedTuple, Protocol, runtime_checkable
@@ -13,6 +14,9 @@ from ...render.view import RenderView
 from ...threads import lower_thread_priority
 from .frame import DrawResult, MosaicInput, MosaicResult, RenderInput, SplitPane
 from .live_view import LiveView, MosaicImages, WindowBackend
+
+_SHORT_S, _LONG_S = 0.04, 0.4
+"""Drawing times up to which a camera is not seen to move on, and beyond which nobody knows where it will be."""
 
 
 @runtime_checkable
@@ -62,6 +66,7 @@ class PictureThread:
         self._frame: RenderInput | None = None
         self._is_abandoned = threading.Event()
         self._last = DrawResult()
+        self._began_s = self._took_s = 0.0
         self._may_abandon = True
         self._is_closed = False
 
@@ -81,6 +86,15 @@ class PictureThread:
         return not (is_busy or self._last.drawn or self._last.is_catching_up) and self.is_settled
 
     @property
+    def ahead_s(self) -> float:
+        """Time after which a picture that is begun now will have been shown for half of its time.
+
+        It is 0 where pictures take little time, or can't be warped when the camera does not go on as expected.
+        """
+        is_warped = any(each is not None for each in self._last.reliefs)
+        return 1.5 * min(self._took_s, _LONG_S) if is_warped and self._took_s > _SHORT_S else 0.0
+
+    @property
     def last(self) -> DrawResult:
         """Result of the last picture that was taken."""
         return self._last
@@ -94,6 +108,8 @@ class PictureThread:
         if picture is None:
             return None
         self._last, self._may_abandon = picture.result, True
+        if picture.result.drawn is not None:
+            self._took_s = time.perf_counter() - self._began_s
         return picture
 
     def wait(self, timeout_s: float | None = None) -> bool:
@@ -105,7 +121,7 @@ class PictureThread:
     def begin(self, frame: RenderInput, mosaic: MosaicInput | None) -> None:
         """Begin to draw a picture, after the last one was taken."""
         assert self._drawing is None, "one picture at a time"
-        self._frame = frame
+        self._frame, self._began_s = frame, time.perf_counter()
         self._is_abandoned.clear()
         self._drawing = self._thread.submit(self._draw, frame, mosaic)
         self._drawing.add_done_callback(self._announce)

@@ -13,10 +13,10 @@ from ...render.cpu.renderer import CpuRenderer
 from ...render.draw import draw
 from ...render.frame_input import CameraMemory, FrameInput, Mount, Quality
 from ...render.level_of_detail import LodCut, LodSubset, Thinning
-from ...render.mirror_reuse import MirrorReuse
 from ...render.renderer import Renderer
 from ...render.sky_color import SkyColor, sky_color
 from ...render.view import RenderView
+from ...render.view_reuse import ViewReuse
 from ...scene.camera import Camera
 from ...scene.lod_tree import MIN_GAUSSIANS, PIXEL
 from ...scene.scene import Scene
@@ -39,7 +39,7 @@ class RemoteViewer:
     view: RenderView
     """Camera in the size of the screen, time and motion."""
     budget: AdaptiveQuality = field(default_factory=lambda: AdaptiveQuality(target_ms=_TARGET_MS))
-    reuse: MirrorReuse = field(default_factory=lambda: MirrorReuse(_MIRROR_EVERY))
+    reuse: ViewReuse = field(default_factory=lambda: ViewReuse(_MIRROR_EVERY))
     _seen: Hashable = None
     _seen_s: float = -math.inf
     _drawn: Hashable = None

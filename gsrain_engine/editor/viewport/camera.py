@@ -1,6 +1,6 @@
 """Viewport camera: orbit, fly, dolly, pan, frame; home camera and default path. World frame (meters, z up)."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float64
@@ -157,6 +157,38 @@ class OrbitCamera:
         if not (np.abs(self.position - core.middle) < far).all() or not 0 < self.distance_m < far:
             self.distance_m = max(core.radius_m, 1e-3)
             self.position = core.middle - self.distance_m * self.forward
+
+
+_STEPS = 3  # of which the median counts, so that a jump to another place is no motion
+_TRUST = 0.75  # share of the expected motion: hands stop and turn back
+
+
+@dataclass(slots=True)
+class NavigationMotion:
+    """Recent motion of the viewport camera, from which its pose in a moment is expected."""
+
+    _before: tuple[float, Float64[np.ndarray, "5"]] | None = None
+    _rates: list[Float64[np.ndarray, "5"]] = field(default_factory=list[Float64[np.ndarray, "5"]])
+    """Position, heading and pitch a second."""
+
+    def observe(self, camera: OrbitCamera, now_s: float) -> None:
+        """Note the pose, once a frame; `now_s` is any steady clock."""
+        pose = np.array([*camera.position, camera.heading, camera.pitch])
+        if self._before is not None and now_s > self._before[0]:
+            step = pose - self._before[1]
+            step[3] = np.mod(step[3] + np.pi, 2 * np.pi) - np.pi
+            self._rates = [*self._rates, step / (now_s - self._before[0])][-_STEPS:]
+        self._before = now_s, pose
+
+    def expected(self, camera: OrbitCamera, ahead_s: float) -> OrbitCamera:
+        """Return the camera as it will be if it goes on for most of the time as before."""
+        rates = np.median(self._rates, axis=0) if len(self._rates) == _STEPS else np.zeros(5)
+        if not (ahead_s and np.any(rates)):
+            return camera
+        *moved_m, turned, raised = (_TRUST * ahead_s * rates).tolist()
+        later = replace(camera, position=camera.position + moved_m)
+        later.turn(turned, raised)
+        return later
 
 
 def is_in_view(

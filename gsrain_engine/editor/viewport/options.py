@@ -1,6 +1,7 @@
 """Viewport options: overlays, split view, matching modes, and the adaptive quality."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
@@ -132,6 +133,7 @@ _TOLERANCE = 1.15
 _PROMISING = 1.1  # share of the target frame time that a finer level may be expected to take when it is tried
 _FORGET_AFTER = 45  # frames after which a level that was too slow may be tried once more
 _FIRST_BACKDROP = 2  # level of backdrops to begin with
+_WARPED_PATIENCE = 5.0  # of a warped picture: longer, what it shows bends; shorter, it is too coarse
 _LONG_MS = 150.0  # drawing time of a full picture from which on a refined one comes first
 _CUTS_A_HALVING = 3  # levels of cuts from one to another of half its time
 
@@ -147,19 +149,19 @@ class _Ladder:
     too_slow: dict[int, int] = field(default_factory=dict[int, int])
     """Levels that missed the target, with the number of frames until they may be tried once more."""
 
-    def measured(self, detail: QualityLevel, excess: float) -> None:
-        """Record the drawing time of a frame, relative to the target."""
+    def measured(self, detail: QualityLevel, frame_ms: float, limit_ms: Callable[[QualityLevel], float]) -> None:
+        """Record the drawing time of a frame; `limit_ms` is what one may take."""
         level = self.levels.index(detail)
         self.too_slow = {each: left - 1 for each, left in self.too_slow.items() if left > 1}
-        if excess > _TOLERANCE * detail.patience:
+        if frame_ms > _TOLERANCE * limit_ms(detail):
             self.too_slow[level] = _FORGET_AFTER
             # Never choose the same level twice in a row.
             if level == self.present:
-                steps = max(1, round(self.halving * math.log2(excess / detail.patience)))
+                steps = max(1, round(self.halving * math.log2(frame_ms / limit_ms(detail))))
                 self.present = min(level + steps, len(self.levels) - 1)
         elif level == self.present > 0 and level - 1 not in self.too_slow:
-            expected = excess * 2 ** (1 / self.halving)
-            self.present -= expected < _PROMISING * self.levels[level - 1].patience
+            expected_ms = frame_ms * 2 ** (1 / self.halving)
+            self.present -= expected_ms < _PROMISING * limit_ms(self.levels[level - 1])
 
 
 @dataclass(slots=True)
@@ -170,6 +172,8 @@ class AdaptiveQuality:
     enabled: bool = True
     has_cuts: bool = False
     """True if details can be merged, so that less is drawn without leaving anything out."""
+    is_warped: bool = False
+    """True if pictures are warped to the present, so that they may take longer, unless the camera stands."""
     _of_all: _Ladder = field(default_factory=lambda: _Ladder(LEVELS))
     _of_cuts: _Ladder = field(default_factory=lambda: _Ladder(CUT_LEVELS, halving=_CUTS_A_HALVING))
     _of_backdrops: _Ladder = field(default_factory=lambda: _Ladder(BACKDROP_LEVELS, _FIRST_BACKDROP))
@@ -215,7 +219,11 @@ class AdaptiveQuality:
             self._is_coarse = False
         if detail == REFINED and self._rested_s >= SETTLED_S:
             return  # with all cores
-        excess = frame_ms / self.target_ms
         for ladder in (self._of_all, self._of_cuts, self._of_backdrops):
             if detail in ladder.levels:
-                ladder.measured(detail, excess)
+                ladder.measured(detail, frame_ms, self._limit_ms)
+
+    def _limit_ms(self, detail: QualityLevel) -> float:
+        """Time that a picture may take."""
+        is_warped = self.is_warped and not detail.has_backdrop
+        return self.target_ms * (_WARPED_PATIENCE if is_warped else detail.patience)

@@ -113,20 +113,18 @@ def composite_in_rain(
     sky: SkyLayer = NO_SKY,
     lamp_light: Float32[np.ndarray, "h w 3"] | None = None,
     film: Film | None = None,
-    *,
-    with_alpha: bool = True,
-) -> tuple[Float32[np.ndarray, "h w 4"], Float32[np.ndarray, "h w"], Float32[np.ndarray, "_ _"]]:
+) -> tuple[Float32[np.ndarray, "h w 4"], Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
     """Blend the scene's splats as `composite` does, with rain of one color in front of and among them.
 
     With T_i the product of 1 - alpha_j over all nearer splats, of scene and rain alike, the shares of the scene and of
     the rain are the sums of alpha_i T_i over their own splats. Rain behind opaque surfaces is hidden. `add_rain_light`
-    combines the shares into the image. Returns it, and the fourth channel and, `with_alpha`, alpha of the scene alone.
+    combines the shares into the image. Returns it, and the fourth channel and alpha of the scene alone.
     If `lamp_light` is there, the channels of rain are its light of lamps in linear light, and what is visible of that
     is written there. The `film` is blended without the rain in front of it.
     """
     rgba = np.empty((tiles.height, tiles.width, 4), np.float32)
     fourth = np.empty((tiles.height, tiles.width), np.float32)
-    alpha = np.empty_like(fourth) if with_alpha else NO_ALPHA
+    alpha = np.empty_like(fourth)
     visible = np.empty((0, 0, 2), np.float32) if film is None else film.visible
     channels = channels if film is None else _with_film(channels, film)
     if lamp_light is None:

@@ -14,7 +14,7 @@ from ...fast_math import FAST
 from ...kernels import kernel, range_of
 from ...malloc_tuning import tune_malloc
 from ...rain.frame import RainFrame
-from ...rain.lamp_light import LampLight, light_in_picture, share_of_depth
+from ...rain.lamp_light import LampLight, depth_of_share, light_in_picture, share_of_depth
 from ...scene.camera import Camera
 from ...scene.scene import DrawItem
 from ...water.mirror import LensMirror, Mirror
@@ -105,9 +105,10 @@ class CpuRenderer:
                 )
             elif rain is not None and falling and rain.is_linear:
                 rgba, weighted, weight = composite_in_rain(
-                    splats.shapes, splats.colors, rain.light_linear, tiles, sky, film=film, with_alpha=with_depth
+                    splats.shapes, splats.colors, rain.light_linear, tiles, sky, film=film
                 )
-                self._frame = Frame(rgba, expected(weighted, weight, MIN_WEIGHT) if with_depth else None)
+                depth = partial(expected, weighted, weight, MIN_WEIGHT)
+                self._frame = Frame(rgba, depth() if with_depth else None, rough_depth=depth)
             else:
                 if rain is None or not falling:
                     self._frame = _draw_mode(mode, splats, tiles, film, with_depth=with_depth)
@@ -162,7 +163,7 @@ class CpuRenderer:
             rgba, visible = composite_over(splats, tiles, light, backdrop)
             if mirror is not None:
                 add_light(rgba, mirror.reflected(visible))
-            self._frame = Frame(rgba)
+            self._frame = Frame(rgba, rough_depth=lambda: backdrop.depth)
         self.statistics.splats_drawn = len(order)
 
     def release_scenes(self) -> None:
@@ -185,11 +186,12 @@ class CpuRenderer:
 
 def _draw_mode(mode: RenderMode, splats: Splats, tiles: TileLists, film: Film | None, *, with_depth: bool) -> Frame:
     """Draw a scene without rain; depth is blended from all splats, in any render mode."""
-    depth = None
+    depth, rough_depth = None, None
     rgba = np.empty((tiles.height, tiles.width, 4), np.float32)
     if with_depth or mode not in ("ellipsoids", "overdraw"):
         rgba, weighted = _composite_dry(splats.shapes, splats.colors, tiles, film)
-        depth = expected(weighted, rgba[..., 3], MIN_WEIGHT) if with_depth or mode == "depth" else None
+        rough_depth = partial(expected, weighted, rgba[..., 3].copy(), MIN_WEIGHT)
+        depth = rough_depth() if with_depth or mode == "depth" else None
     if mode == "ellipsoids":
         _cover(tiles, splats.shapes, splats.colors, rgba)
     elif mode == "overdraw":
@@ -199,7 +201,7 @@ def _draw_mode(mode: RenderMode, splats: Splats, tiles: TileLists, film: Film | 
     elif mode == "depth" and depth is not None:
         t = np.log(np.maximum(depth, np.float32(1e-9)) / NEAREST_M) / np.log(FARTHEST_M / NEAREST_M)
         rgba = _heat_where(t.astype(np.float32), depth > 0)
-    return Frame(rgba, depth)
+    return Frame(rgba, depth, rough_depth=rough_depth)
 
 
 def _draw_lit(
@@ -231,7 +233,7 @@ def _draw_lit(
     if light is not None:
         add_light(rgba, light)
     if not with_depth:
-        return Frame(rgba)
+        return Frame(rgba, rough_depth=lambda: depth_of_share(expected(shares, weight, MIN_WEIGHT)))
     if has_drops:
         _, weighted, weight = composite_in_rain(splats.shapes, splats.colors, rain.light_linear, tiles)
     else:

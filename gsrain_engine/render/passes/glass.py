@@ -51,12 +51,17 @@ class Glass:
             raise ValueError("glass: water on glass is drawn for pinhole cameras; choose none for a camera with a lens")
         glass, lens = _glass(pane, frame), frame.simulation.lens(view.camera)
         wide = wide_view(view.camera, pane, lens)
-        behind = np.zeros((wide.height, wide.width, 3), np.uint8)
-        if len(glass.drops) and frame.photograph is None:
+
+        def draw_behind() -> UInt8[np.ndarray, "h w 3"]:
             thinning = LodSample(WIDE_SHARE, WIDE_PX2 if isinstance(parts.renderer, CpuRenderer) else 0.0)
             shown = replace(view, camera=wide, focal_px=None)
             drawn = frame.changed(view=shown, quality=Quality(thinning=thinning), without=frame.without | _NOT_BEHIND)
-            behind = parts.draw(drawn).read_uint8().copy()
+            return parts.draw(drawn).read_uint8().copy()
+
+        behind, reuse = np.zeros((wide.height, wide.width, 3), np.uint8), frame.quality.reuse
+        if len(glass.drops) and frame.photograph is None:
+            size_px = wide.width, wide.height
+            behind = draw_behind() if reuse is None else reuse.behind_glass(frame.scene, size_px, draw_behind)
         found = GlassView(glass, view.camera, lens, behind)
         if frame.photograph is None:
             parts.filters.append(PictureFilter(self.name, found.picture))
