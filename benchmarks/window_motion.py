@@ -210,9 +210,10 @@ class Measurement:
         from gsrain_engine.scene.camera import Camera
 
         viewport = workspace.editor.viewport
-        hello_imgui.get_runner_params().fps_idling.enable_idling = False  # it would sleep
         is_exact = viewport.detail.is_exact and workspace.pictures.is_current
         self._rests = self._rests + 1 if is_exact else 0
+        if is_exact:
+            hello_imgui.get_runner_params().fps_idling.enable_idling = False  # it would sleep
         if self._at_rest >= 0:
             if self._rests == 1:
                 self.rested_s.append(now - self._began_s)

@@ -35,6 +35,7 @@ _WATCHING_FPS = 10.0  # frame rate for progress bars while workers run without u
 _SOFTWARE_FPS = 36.0  # maximum frame rate of a software rasterizer: picture and jobs need the cores, too
 _MAX_FRAME_S = 0.1  # a longer frame is a stall
 _ACTIVE_S, _ACTIVE_FRAMES = 3.0, 6  # after an event, before a window at rest sleeps
+_ACTIVE_WHILE_REFINING_S = 0.3  # the same while the picture of a view at rest is drawn, which needs the processor
 
 
 class Workspace:
@@ -132,11 +133,14 @@ class Workspace:
         awaits = editor.awaits_first_picture
         waits = awaits and viewport.staged is None and not viewport.is_catching_up
         self._plays = editor.playback.clock.playing and editor.has_time and not awaits
-        idling.fps_idle = _WATCHING_FPS if editor.jobs.running else _WAITING_FPS if waits else _IDLE_FPS
-        resting = not (editor.is_bringing_in or viewport.budget.is_settling)
+        resting = not (editor.is_bringing_in or viewport.budget.is_settling or self._plays)
         resting = resting and not (editor.rollouts.mosaic.is_behind or is_file_dialog_open())
-        idling.time_active_after_last_event = max(_ACTIVE_S, _ACTIVE_FRAMES * self._took_s)
-        idling.enable_idling = waits or (resting and self.pictures.is_current and not self._plays)
+        refines = resting and not self.pictures.is_current and self.pictures.draws_exactly
+        watches = bool(editor.jobs.running) or refines
+        idling.fps_idle = _WATCHING_FPS if watches else _WAITING_FPS if waits else _IDLE_FPS
+        active_s = _ACTIVE_WHILE_REFINING_S if refines else _ACTIVE_S
+        idling.time_active_after_last_event = max(active_s, _ACTIVE_FRAMES * self._took_s)
+        idling.enable_idling = waits or refines or (resting and self.pictures.is_current)
         idling.fps_max = 0.0 if self._plays else self.max_fps
         if editor.should_quit:
             hello_imgui.get_runner_params().app_shall_exit = True
