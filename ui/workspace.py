@@ -34,6 +34,7 @@ _WAITING_FPS = 3.0  # while what the first picture needs is read and compiled, w
 _WATCHING_FPS = 10.0  # frame rate for progress bars while workers run without user input
 _SOFTWARE_FPS = 36.0  # maximum frame rate of a software rasterizer: picture and jobs need the cores, too
 _MAX_FRAME_S = 0.1  # a longer frame is a stall
+_WARPED_FPS = 18.0  # the same while pictures are warped
 _ACTIVE_S, _ACTIVE_FRAMES = 3.0, 6  # after an event, before a window at rest sleeps
 _ACTIVE_WHILE_REFINING_S = 0.3  # the same while the picture of a view at rest is drawn, which needs the processor
 
@@ -62,7 +63,8 @@ class Workspace:
         self._warps = PictureWarp(context), PictureWarp(context)
         self._last_problem = ""
         self._began_s = self._took_s = self._frame_s = 0.0
-        self._plays = False
+        self._plays = self._flows = False
+        self._fps = 0.0
         self._view_size = 16, 16
         self._drawn, self._front = set[str](), ("",)
         self._first_front, self._settled_front = set[str](), tuple[str, ...]()
@@ -141,19 +143,22 @@ class Workspace:
         active_s = _ACTIVE_WHILE_REFINING_S if refines else _ACTIVE_S
         idling.time_active_after_last_event = max(active_s, _ACTIVE_FRAMES * self._took_s)
         idling.enable_idling = waits or refines or (resting and self.pictures.is_current)
-        idling.fps_max = 0.0 if self._plays else self.max_fps
+        is_warped = viewport.budget.is_warped and (self._plays or viewport.is_moving)
+        self._fps = min(self.max_fps, _WARPED_FPS) if is_warped else self.max_fps
+        self._flows = self._plays or is_warped
+        idling.fps_max = 0.0 if self._flows else self.max_fps
         if editor.should_quit:
             hello_imgui.get_runner_params().app_shall_exit = True
 
     def rest(self) -> None:
-        """Wait after a frame until the next is due while time plays, and begin a picture as soon as the last is done.
+        """Wait after a frame until the next is due while things move, and begin a picture as soon as the last is done.
 
         At other times hello_imgui waits, which would let the thread of the pictures wait for the next frame, too.
         """
         self._took_s = time.perf_counter() - self._began_s
-        if not (self._plays and self.max_fps):
+        if not (self._flows and self._fps):
             return
-        due_s = self._began_s + 1 / self.max_fps
+        due_s = self._began_s + 1 / self._fps
         if self.pictures.wait(max(due_s - time.perf_counter(), 0.0)):
             self._take_picture()
             self._begin_picture()

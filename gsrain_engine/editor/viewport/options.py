@@ -133,7 +133,7 @@ _TOLERANCE = 1.15
 _PROMISING = 1.1  # share of the target frame time that a finer level may be expected to take when it is tried
 _FORGET_AFTER = 45  # frames after which a level that was too slow may be tried once more
 _FIRST_BACKDROP = 2  # level of backdrops to begin with
-_WARPED_PATIENCE = 5.0  # of a warped picture: longer, what it shows bends; shorter, it is too coarse
+_WARPED_PATIENCE = 6.0  # of a warped picture: longer, what it shows bends; shorter, it is too coarse
 _LONG_MS = 150.0  # drawing time of a full picture from which on a refined one comes first
 _CUTS_A_HALVING = 3  # levels of cuts from one to another of half its time
 
