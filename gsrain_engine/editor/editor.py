@@ -249,8 +249,13 @@ class Editor:
         return self.is_animated or scene.ego is not None or scene.path is not None or len(keyframes) > 1
 
     def render_input(self, width: int, height: int, ahead_s: float = 0.0) -> RenderInput:
-        """The next frame for a viewport of a size in pixels, as it is expected to be in `ahead_s`."""
+        """The next frame for a viewport of a size in pixels, as it is expected to be in `ahead_s`.
+
+        A screenshot and a picked color are those of the present.
+        """
         viewport, live_rain, options = self.viewport, self.live_rain, self.viewport.options
+        if viewport.screenshot is not None or viewport.sky_pick is not None:
+            ahead_s = 0.0
         is_animated = self.playback.clock.playing and self.is_animated
         view, quality = viewport.scaled_shot(
             width,
@@ -291,7 +296,7 @@ class Editor:
         viewport.is_compiling, viewport.is_catching_up = result.is_compiling, result.is_catching_up
         viewport.is_preparing, viewport.kernels = result.is_preparing, result.kernels
         viewport.budget.has_cuts = result.has_cuts
-        viewport.budget.is_warped = any(each is not None for each in result.reliefs)
+        viewport.budget.is_warped = result.can_be_warped
         for problem in result.problems:
             self.status.report(problem)
         if result.drawn is not None:

@@ -156,7 +156,7 @@ def test_a_picture_of_full_quality_is_given_up_for_a_newer_view_but_never_two_in
     pictures.close()
 
 
-def test_pictures_that_take_long_are_drawn_for_when_they_are_on_the_screen(editor, monkeypatch):
+def test_pictures_that_take_long_are_drawn_for_when_they_are_on_the_screen(editor, monkeypatch, tmp_path):
     """Those of the processor, which are warped when something goes on in another way than expected."""
     pictures = PictureThread(OwnContext(), "cpu")
     while not (pictures.is_settled and pictures.last.reliefs):
@@ -175,6 +175,8 @@ def test_pictures_that_take_long_are_drawn_for_when_they_are_on_the_screen(edito
     frame = editor.render_input(*SIZE, ahead_s=0.5)
     assert frame.view.time_s == frame.canvas_view.time_s == 1.5
     assert frame.view.camera.position[0] > editor.viewport.shot(*SIZE).camera.position[0] + 0.9
+    editor.viewport.screenshot = tmp_path / "now.png"
+    assert editor.render_input(*SIZE, ahead_s=0.5).view.time_s == 1.0
     pictures.close()
 
 

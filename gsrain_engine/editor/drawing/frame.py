@@ -90,7 +90,7 @@ class DrawResult:
     textures: "tuple[moderngl.Texture, ...]" = ()
     """One per pane, each with the whole image, first row on top."""
     reliefs: tuple[Relief | None, ...] = ()
-    """One per texture, to warp it to a camera that has moved on; None if its renderer has none."""
+    """One per texture, None for one that OpenGL has drawn."""
     drawn: DrawnImage | None = None
     """None if the last images were still valid."""
     is_compiling: bool = False
@@ -116,6 +116,11 @@ class DrawResult:
     """True if the pending scene can be displayed from the next frame on."""
     problems: list[str] = field(default_factory=list[str])
     """Errors that did not prevent an image, such as a screenshot that can't be saved."""
+
+    @property
+    def can_be_warped(self) -> bool:
+        """True if there is a relief to warp images to a later moment."""
+        return any(each is not None for each in self.reliefs)
 
     @property
     def has_news(self) -> bool:

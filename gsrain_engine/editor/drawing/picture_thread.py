@@ -79,7 +79,7 @@ class PictureThread:
         """True while the picture of a view at rest is being drawn, by the processor."""
         frame = self._frame
         is_at_rest = frame is not None and not (frame.is_moving or frame.is_playing) and frame.quality.scale > 1 / 2
-        return self._drawing is not None and is_at_rest and any(each is not None for each in self._last.reliefs)
+        return self._drawing is not None and is_at_rest and self._last.can_be_warped
 
     @property
     def is_settled(self) -> bool:
@@ -98,8 +98,8 @@ class PictureThread:
 
         It is 0 where pictures take little time, or can't be warped when the camera does not go on as expected.
         """
-        is_warped = any(each is not None for each in self._last.reliefs)
-        return 1.5 * min(self._took_s, _LONG_S) if is_warped and self._took_s > _SHORT_S else 0.0
+        takes_long = self._took_s > _SHORT_S and self._last.can_be_warped
+        return 1.5 * min(self._took_s, _LONG_S) if takes_long else 0.0
 
     @property
     def last(self) -> DrawResult:
