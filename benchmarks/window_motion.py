@@ -3,7 +3,7 @@
 The real window is moved by mouse and keys under Xvfb: an orbit, a flight, a ride along the path, and playback before a
 still camera. What the screen shows at moments of each is compared with the exact picture of that moment (PSNR in the
 middle of the viewport, without what is drawn over it), so that blur and lag both count. Pictures are counted when the
-screen changes there. `--against CHECKOUT` does the same with another state of the sources, and prints ratios.
+screen changes there. `--against CHECKOUT` does the same with another state of the sources, and prints both.
 """
 
 import argparse
