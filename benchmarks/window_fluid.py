@@ -8,7 +8,6 @@ rainy, `training` reconstructs a capture of the street, `none` measures the wind
 """
 
 import argparse
-import ctypes
 import json
 import random
 import tempfile
@@ -24,6 +23,7 @@ from typing import Any
 import psutil
 from imgui_bundle import hello_imgui, imgui, immapp
 from reconstruct_street import street_capture
+from window_motion import Hand
 
 from gsrain_engine.datasets.capture_folder import write_views
 from gsrain_engine.editor.background_edits import reconstruct
@@ -140,10 +140,7 @@ class Mouse:
     """Moves the mouse by the X server's test extension, and notes how long the window takes to show it."""
 
     def __init__(self) -> None:
-        x11, self._test = ctypes.CDLL("libX11.so.6"), ctypes.CDLL("libXtst.so.6")
-        x11.XOpenDisplay.restype = ctypes.c_void_p
-        self._flush = x11.XFlush
-        self._display = ctypes.c_void_p(x11.XOpenDisplay(None))
+        self._hand = Hand()
         self._random = random.Random(0)
         self._moved_s: float | None = None
         self._next_s = 0.0
@@ -168,8 +165,7 @@ class Mouse:
     def _move(self) -> None:
         x, y = self._random.randint(300, 1100), self._random.randint(100, 700)
         self._moved_s = time.perf_counter()
-        self._test.XTestFakeMotionEvent(self._display, -1, x, y, ctypes.c_ulong(0))
-        self._flush(self._display)
+        self._hand.place(x, y)
 
 
 def main() -> None:

@@ -56,7 +56,6 @@ class Hand:
 
     def __init__(self) -> None:
         self._x11, self._test = ctypes.CDLL("libX11.so.6"), ctypes.CDLL("libXtst.so.6")
-        self._x11.XOpenDisplay.restype = self._x11.XKeysymToKeycode.argtypes = None
         self._x11.XOpenDisplay.restype = ctypes.c_void_p
         self._x11.XKeysymToKeycode.argtypes = ctypes.c_void_p, ctypes.c_ulong
         self._display = ctypes.c_void_p(self._x11.XOpenDisplay(None))
@@ -164,7 +163,7 @@ class Measurement:
                 return
             self._begin_next(editor, now)
         elif self._number < len(self.moves):
-            self._go_on(workspace, editor, now)
+            self._go_on(editor, now)
         else:
             self._rest(workspace, now)
 
@@ -188,7 +187,7 @@ class Measurement:
         x, y, width, height = self.viewport
         self.hand.begin(move, x + width / 2, y + height / 2)
 
-    def _go_on(self, workspace: Any, editor: Any, now: float) -> None:
+    def _go_on(self, editor: Any, now: float) -> None:
         move, at_s = self.moves[self._number], now - self._began_s - _SETTLING_S
         if at_s < 0:
             return
@@ -224,6 +223,8 @@ class Measurement:
         if self._at_rest == len(self.moments):
             hello_imgui.get_runner_params().app_shall_exit = True
             return
+        x, y, width, height = self.viewport
+        self.hand.place(x + width / 2, y + height / 2 + self._at_rest % 2)  # the last event before the window rests
         view = self.moments[self._at_rest].view
         workspace.editor.playback.clock.seek(view.time_s)
 

@@ -6,7 +6,7 @@ uniform ivec2 nodes;        // columns and rows, with the outermost ones
 uniform float step_px;      // of the grid in the picture
 uniform vec2 size_px;       // of the picture
 uniform vec4 drawn_lens;    // fx, fy, cx, cy of the picture
-uniform mat4 to_camera[32];  // from the picture's camera to the present one: what stands still, and each road user
+uniform mat4 to_camera[MOTIONS];  // from the picture's camera to the present one: what stands still, and each road user
 uniform vec4 lens;          // fx, fy, cx, cy of the present camera
 uniform vec2 canvas_px;     // its size
 

@@ -33,10 +33,10 @@ _IDLE_FPS = 0.3  # A frame costs 80 ms in software rendering; events wake up the
 _WAITING_FPS = 3.0  # while what the first picture needs is read and compiled, which needs the processor
 _WATCHING_FPS = 10.0  # frame rate for progress bars while workers run without user input
 _SOFTWARE_FPS = 36.0  # maximum frame rate of a software rasterizer: picture and jobs need the cores, too
-_MAX_FRAME_S = 0.1  # a longer frame is a stall
 _WARPED_FPS = 18.0  # the same while pictures are warped
+_MAX_FRAME_S = 0.1  # a longer frame is a stall
 _ACTIVE_S, _ACTIVE_FRAMES = 3.0, 6  # after an event, before a window at rest sleeps
-_ACTIVE_WHILE_REFINING_S = 0.3  # the same while the picture of a view at rest is drawn, which needs the processor
+_ACTIVE_WHILE_REFINING_S = 0.3  # the same while the processor draws the picture of a view at rest
 
 
 class Workspace:
@@ -63,8 +63,8 @@ class Workspace:
         self._warps = PictureWarp(context), PictureWarp(context)
         self._last_problem = ""
         self._began_s = self._took_s = self._frame_s = 0.0
-        self._plays = self._flows = False
-        self._fps = 0.0
+        self._own_fps = 0.0
+        """Frame rate that `rest` keeps; 0 where hello_imgui keeps one."""
         self._view_size = 16, 16
         self._drawn, self._front = set[str](), ("",)
         self._first_front, self._settled_front = set[str](), tuple[str, ...]()
@@ -134,19 +134,19 @@ class Workspace:
         # Poll workers at intervals: frames would take CPU time from them.
         awaits = editor.awaits_first_picture
         waits = awaits and viewport.staged is None and not viewport.is_catching_up
-        self._plays = editor.playback.clock.playing and editor.has_time and not awaits
-        resting = not (editor.is_bringing_in or viewport.budget.is_settling or self._plays)
+        plays = editor.playback.clock.playing and editor.has_time and not awaits
+        resting = not (editor.is_bringing_in or viewport.budget.is_settling or plays)
         resting = resting and not (editor.rollouts.mosaic.is_behind or is_file_dialog_open())
-        refines = resting and not self.pictures.is_current and self.pictures.draws_exactly
+        by_processor = viewport.budget.is_warped
+        refines = resting and by_processor and not (viewport.is_moving or self.pictures.is_current)
         watches = bool(editor.jobs.running) or refines
         idling.fps_idle = _WATCHING_FPS if watches else _WAITING_FPS if waits else _IDLE_FPS
         active_s = _ACTIVE_WHILE_REFINING_S if refines else _ACTIVE_S
         idling.time_active_after_last_event = max(active_s, _ACTIVE_FRAMES * self._took_s)
         idling.enable_idling = waits or refines or (resting and self.pictures.is_current)
-        is_warped = viewport.budget.is_warped and (self._plays or viewport.is_moving)
-        self._fps = min(self.max_fps, _WARPED_FPS) if is_warped else self.max_fps
-        self._flows = self._plays or is_warped
-        idling.fps_max = 0.0 if self._flows else self.max_fps
+        warps = by_processor and (plays or viewport.is_moving)
+        fps = min(self.max_fps, _WARPED_FPS) if warps else self.max_fps
+        self._own_fps, idling.fps_max = (fps, 0.0) if plays or warps else (0.0, fps)
         if editor.should_quit:
             hello_imgui.get_runner_params().app_shall_exit = True
 
@@ -156,9 +156,9 @@ class Workspace:
         At other times hello_imgui waits, which would let the thread of the pictures wait for the next frame, too.
         """
         self._took_s = time.perf_counter() - self._began_s
-        if not (self._flows and self._fps):
+        if not self._own_fps:
             return
-        due_s = self._began_s + 1 / self._fps
+        due_s = self._began_s + 1 / self._own_fps
         if self.pictures.wait(max(due_s - time.perf_counter(), 0.0)):
             self._take_picture()
             self._begin_picture()

@@ -75,13 +75,6 @@ class PictureThread:
         return self._drawing is not None
 
     @property
-    def draws_exactly(self) -> bool:
-        """True while the picture of a view at rest is being drawn, by the processor."""
-        frame = self._frame
-        is_at_rest = frame is not None and not (frame.is_moving or frame.is_playing) and frame.quality.scale > 1 / 2
-        return self._drawing is not None and is_at_rest and self._last.can_be_warped
-
-    @property
     def is_settled(self) -> bool:
         """True if no other back end takes over from that of the last picture."""
         return self._last.is_settled

@@ -22,6 +22,7 @@ from ...render.cpu.renderer import CpuRenderer
 from ...render.cpu.splats import FEW
 from ...render.draw import draw
 from ...render.frame_input import FrameInput, Quality
+from ...render.opengl.buffers import sized_target
 from ...render.opengl.shaders import load_program
 from ...render.still_scene import StillScene
 from ...render.view import RenderView
@@ -136,14 +137,10 @@ class CaptureTextures:
         return self._points[1], self._program
 
     def _target_of(self, width: int, height: int) -> moderngl.Framebuffer:
-        if self._target is None or self._target.size != (width, height):
-            if self._target is not None:
-                for old in (*self._target.color_attachments, self._target.depth_attachment, self._target):
-                    old.release()
-            color = self._context.texture((width, height), 4)
-            depth = self._context.depth_renderbuffer((width, height))
-            self._target, self._drawn = self._context.framebuffer([color], depth), None
-        return self._target
+        target = sized_target(self._context, self._target, (width, height))
+        if target is not self._target:
+            self._target, self._drawn = target, None
+        return target
 
 
 class JobPreviews:

@@ -304,6 +304,18 @@ def _full_card(size: int) -> MemoryError:
     return MemoryError(f"the graphics card has no room for {max(1, size >> 20)} MiB more")
 
 
+def sized_target(
+    context: moderngl.Context, present: moderngl.Framebuffer | None, size: tuple[int, int]
+) -> moderngl.Framebuffer:
+    """Return a framebuffer of a size with color and depth: the present one if it fits, which is released otherwise."""
+    if present is not None and present.size == size:
+        return present
+    if present is not None:
+        for old in (*present.color_attachments, present.depth_attachment, present):
+            old.release()
+    return context.framebuffer([context.texture(size, 4)], context.depth_renderbuffer(size))
+
+
 class GrowableBuffer:
     """Storage buffer that is replaced by a larger one on demand; its content is lost."""
 

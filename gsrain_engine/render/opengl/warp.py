@@ -5,8 +5,10 @@ import numpy as np
 
 from ...scene.camera import Camera
 from ..relief import MAX_MOVERS, Relief
+from .buffers import sized_target
 from .shaders import load_program
 
+_MOTIONS = MAX_MOVERS + 1  # and that of what stands still
 _MAX_TURN = np.cos(np.radians(40.0))  # beyond it, little of the picture is in view
 _MAX_TIME_S = 1.0
 _FINER = 1.5  # ratio of the pixels across a warped picture to those of the picture, which the display enlarges
@@ -43,14 +45,15 @@ class PictureWarp:
         share = min(1.0, _FINER * picture.width / camera.width)
         camera = camera.resized(round(share * camera.width), round(share * camera.height))
         own = self._context.external_texture(picture.glo, picture.size, picture.components, 0, picture.dtype)
-        vertices, target = self._mesh_of(relief), self._target_of(camera.width, camera.height)
+        vertices = self._mesh_of(relief)
+        target = self._target = sized_target(self._context, self._target, (camera.width, camera.height))
         program, drawn = vertices.program, relief.camera
         rows, columns = relief.inverse_m.shape
         program["nodes"], program["step_px"] = (columns + 2, rows + 2), float(relief.step)
         program["size_px"], program["canvas_px"] = (drawn.width, drawn.height), (camera.width, camera.height)
         program["drawn_lens"] = drawn.fx, drawn.fy, drawn.cx, drawn.cy
         program["lens"] = camera.fx, camera.fy, camera.cx, camera.cy
-        to_camera = np.zeros((MAX_MOVERS + 1, 4, 4), np.float32)
+        to_camera = np.zeros((_MOTIONS, 4, 4), np.float32)
         moved = camera.world_to_camera @ relief.motions(time_s) @ drawn.camera_to_world
         to_camera[: len(moved)] = moved.transpose(0, 2, 1)  # column-major
         program["to_camera"].write(to_camera)  # pyright: ignore[reportAttributeAccessIssue]
@@ -66,7 +69,7 @@ class PictureWarp:
 
     def _mesh_of(self, relief: Relief) -> moderngl.VertexArray:
         if self._program is None:
-            self._program = load_program(self._context, "warp.vert", "warp.frag")
+            self._program = load_program(self._context, "warp.vert", "warp.frag", switches={"MOTIONS": _MOTIONS})
             self._program["picture"] = 0
         shape = relief.inverse_m.shape
         if self._mesh is None or self._mesh[0] != shape:
@@ -85,12 +88,3 @@ class PictureWarp:
             self._mesh[1].write(np.pad(corners, ((1, 1), (1, 1), (0, 0)), mode="edge"))
             self._relief = relief
         return self._mesh[2]
-
-    def _target_of(self, width: int, height: int) -> moderngl.Framebuffer:
-        if self._target is None or self._target.size != (width, height):
-            if self._target is not None:
-                for old in (*self._target.color_attachments, self._target.depth_attachment, self._target):
-                    old.release()
-            color = self._context.texture((width, height), 4)
-            self._target = self._context.framebuffer([color], self._context.depth_renderbuffer((width, height)))
-        return self._target
