@@ -27,6 +27,7 @@ from .options import (
     Preset,
     Wet,
     all_listed,
+    check_within,
     flag,
     option,
     parse_whole_numbers,
@@ -76,6 +77,9 @@ def view(
     scene: Annotated[str | None, option("Scene file or folder; default: the built-in street.")] = None,
     /,
     *,
+    rain: Annotated[
+        float | None, option("Rainfall intensity in mm/h, 0 to 149; the rest is the preset's.", "--rain", "--intensity")
+    ] = None,
     preset: Annotated[Preset, Parameter(group=OPTIONS)] = None,
     wet: Annotated[Wet, Parameter(group=OPTIONS)] = None,
     backend: Annotated[
@@ -85,6 +89,7 @@ def view(
     follow_path: Annotated[bool, flag("Look through the camera that moves along the scene's path.")] = False,
 ) -> None:
     """Open a scene in the window; without SCENE, the built-in street."""
+    check_within("--rain", rain, 0, 149, "mm/h")
     if scene is not None and not _names_scene(scene):
         from gsrain_engine.scene.open import load_scene
 
@@ -99,7 +104,7 @@ def view(
     def begin() -> "Editor":
         from gsrain_engine.rain.settings import load_preset  # load the engine only after the window is open
 
-        return begin_editor(scene, load_preset(preset) if preset else None, wet, follow_path=follow_path)
+        return begin_editor(scene, load_preset(preset) if preset else None, rain, wet, follow_path=follow_path)
 
     run_window(begin, backend)
 
@@ -273,18 +278,25 @@ def _plug_ins(arguments: Sequence[str]) -> Generator[None]:
     elif word in SHELL_COMMANDS:
         yield
     else:
-        with installed(app, plugins.COMMANDS, word):
+        with installed(app, plugins.COMMANDS, word, hidden=word if _opens_scene(arguments) else ""):
             yield
 
 
+def _opens_scene(arguments: Sequence[str]) -> bool:
+    """Return whether a first word that is a scene and a command means the scene: no place to write follows."""
+    word, following = [*arguments, "", ""][:2]
+    return word in _scene_names() and (not following or following.startswith("-")) and following not in _HARMLESS
+
+
 @contextmanager
-def installed(commands: App, point: EntryPointGroup, asked: str = "") -> Generator[None]:
+def installed(commands: App, point: EntryPointGroup, asked: str = "", hidden: str = "") -> Generator[None]:
     """Add the commands of a kind that plug-ins have while the block runs; only the one of the name `asked` is loaded.
 
+    The one of the name `hidden` is left out.
     Raises `ExtensionError` with the reason if that one is unusable, ValueError if no evaluation has that name.
     """
     added, group = (
-        [each for each in find_extensions(point) if each.name not in commands],
+        [each for each in find_extensions(point) if each.name not in commands and each.name != hidden],
         _MORE if commands is app else None,
     )
     names = [each for each in (*commands, *(each.name for each in added)) if not each.startswith("-")]

@@ -30,6 +30,7 @@ from .options import (
     takes_set,
 )
 from .outputs import check_image, check_writable, lock_outputs, write_numbers
+from .plan import is_plan, plan_camera
 
 if TYPE_CHECKING:
     import numpy as np
@@ -81,15 +82,11 @@ RecordingOptions = options_of(
 )
 
 
-CameraOption = Annotated[
-    str | None,
-    option(
-        "Six numbers with commas: X,Y,Z of the camera and of the point it looks at, in meters with z up (gsrain info "
-        "tells where a scene lies). Or a camera file (JSON, .glb, .gltf), in the scene's own units and axes.",
-        topic="Camera and time",
-        allow_leading_hyphen=True,
-    ),
-]
+_CAMERA_HELP = (
+    "Six numbers with commas: X,Y,Z of the camera and of the point it looks at, in meters with z up (gsrain info "
+    "tells where a scene lies). Or a camera file (JSON, .glb, .gltf), in the scene's own units and axes."
+)
+CameraOption = Annotated[str | None, option(_CAMERA_HELP, topic="Camera and time", allow_leading_hyphen=True)]
 
 
 @takes_set
@@ -99,7 +96,19 @@ def render(
     *,
     recording: RecordingOptions,
     rain: RainOptions | None = None,
-    camera: CameraOption = None,
+    camera: Annotated[
+        str | None,
+        option(
+            f"{_CAMERA_HELP} Or top or ortho: to scale, from above (+y up) or aslant; top:X,Y around a place, top:NAME "
+            "along with a road user or ego.",
+            topic="Camera and time",
+            allow_leading_hyphen=True,
+        ),
+    ] = None,
+    pixels_per_meter: Annotated[
+        float | None,
+        option("Scale of --camera top or ortho; default: all of the scene.", topic="Camera and time", rare=True),
+    ] = None,
     camera_path: Annotated[
         Path | None,
         option("Camera path: ours, nerfstudio's, 3DGS's cameras.json, a .glb or .gltf.", topic="Camera and time"),
@@ -151,6 +160,7 @@ def render(
     Prints the rain rate that is drawn, and the maximum visible distance of streaks, at which a drop covers one pixel.
     """
     from gsrain_engine.backends import open_renderer
+    from gsrain_engine.rain.available import PLAN_SHOWS
     from gsrain_engine.rain.calibration import load_calibration
     from gsrain_engine.rain.keyframes import NO_KEYFRAMES
     from gsrain_engine.rain.simulation import RainSimulation
@@ -162,6 +172,8 @@ def render(
 
     rain_options = rain or RainOptions()
     export = export_settings(recording, with_depth=depth or labels is not None)
+    if pixels_per_meter is not None and not is_plan(camera):
+        raise ValueError(f"--pixels-per-meter {pixels_per_meter:g}: only --camera top and ortho have a scale")
     check_within("--duration", duration, 0, 36_000, "s", is_open=True)
     if frame is not None and frame < 0:
         raise ValueError(f"--frame {frame}: must be 0 or more")
@@ -176,7 +188,8 @@ def render(
     opened = (orientation or Orientation()).of(load_sorted_scene(scene))
     if labels is not None and not scene_objects(opened):
         raise ValueError(f"--labels {labels}: scene {opened.name!r} has no actors that labels could be about")
-    settings, weather = rain_options.for_scene(opened), rendered_weather(rain_options, opened, rain_keyframes)
+    settings = rain_options.for_scene(opened, "plan" if is_plan(camera) else "scene")
+    weather = rendered_weather(rain_options, opened, rain_keyframes)
     if wet is False and weather is not None:
         weather = weather.without("wetness")
     heaviest = max(intensities or [(weather or NO_KEYFRAMES).heaviest_mm_h(settings)])
@@ -184,7 +197,10 @@ def render(
     opened, settings = rainy_light(opened, settings, wet, heaviest)
     simulation = RainSimulation.start(settings, weather=weather)
     is_own_path = camera is None and camera_path is None and opened.path is not None
-    viewpoint = viewpoint_of(opened, camera, camera_path, export)
+    if camera is not None and camera_path is None and is_plan(camera):
+        viewpoint = plan_camera(opened, camera, export, pixels_per_meter)
+    else:
+        viewpoint = viewpoint_of(opened, camera, camera_path, export)
     if frame is not None and export.is_still and isinstance(viewpoint, Camera) and not export.cameras:
         place = "--camera" if camera is not None else f"scene {opened.name!r}, which has no path or drive,"
         raise ValueError(f"--frame {frame}: a still from {place} has no other frame; --time sets its moment")
@@ -228,9 +244,13 @@ def render(
     distances = _visible_distances(simulation.frozen_at(first_s), sequences, numbers[0])
     for line in dict.fromkeys(map(_visible, distances)):
         print(line)
+    scales = [each.camera.pixels_per_m for each in shots.values() if each.camera.is_orthographic]
+    for scale in scales:
+        print(f"{scale:.4g} px/m; {PLAN_SHOWS}")
     if labeled:
         print(f"{_listed(labeled)}: labels, the same with rain and without")
     speeds = {"speed_m_s": timing.speed_m_s, "speed_is_assumed": timing.is_assumed} if timing is not None else {}
+    report |= {"pixels_per_m": max(scales)} if scales else {}
     report |= {"visible_distance": distances, "lamps": len(lamps), "backend": renderer.name} | speeds
     write_numbers(json, report | write_provenance(Path(export.output), pictures))
     return 0 if report["frames"] == len(numbers) else 130
@@ -433,6 +453,7 @@ def _visible_distances(
 
     from gsrain_engine.rain.streaks import visible_distance_m
 
+    sequences = {name: each for name, each in sequences.items() if not each.shot(number).camera.is_orthographic}
     if simulation.state.intensity_mm_h == 0:
         return []
     sizes, haze_coefficient = simulation.state.sizes, simulation.rain.critical_haze_coefficient

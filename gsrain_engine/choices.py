@@ -18,6 +18,14 @@ RenderMode = Literal["splats", "points", "ellipsoids", "depth", "normals", "opac
 * layers: each layer and actor in a distinct color.
 """
 
+Direction = Literal["top", "ortho"]
+"""Of an orthographic camera: from straight above, with north (world +y) up; and aslant from behind, the left and above,
+as in an isometric drawing."""
+
+Mark = Literal["grid", "scale", "boxes", "paths"]
+"""Lines over an orthographic picture: on the ground at round meters, a scale bar, boxes of road users, and paths
+of these and of the ego vehicle."""
+
 LabelFormat = Literal["coco", "kitti"]
 Friction = Literal["dry", "wet"]
 """Friction of the road in a drive: dry, each vehicle's own limits; wet, less by speed and water."""

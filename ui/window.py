@@ -24,6 +24,7 @@ from importlib.resources import files
 from typing import Any, NamedTuple, NoReturn
 
 import moderngl
+import msgspec
 import numpy as np
 import psutil
 from imgui_bundle import glfw_utils
@@ -55,26 +56,42 @@ _DRIVER_RESTARTS_S = 5.0  # maximum time for a driver to recover before a window
 
 
 def begin_editor(
-    scene: str | None, rain: "RainSettings | None", wet: bool | None = None, *, follow_path: bool = False
+    scene: str | None,
+    preset: "RainSettings | None",
+    intensity_mm_h: float | None = None,
+    wet: bool | None = None,
+    *,
+    follow_path: bool = False,
 ) -> "Editor":
     """Create an editor that opens a scene (None is the built-in street) in the background.
 
-    `wet` makes wet colors if the scene has none; False shows it as lit in any rain. `follow_path` looks through the
-    camera that moves along the scene's path.
+    A preset takes the place of the rain that the scene was saved with, and an intensity that of either. `wet` makes wet
+    colors if the scene has none; False shows it as lit in any rain. `follow_path` looks through the camera that moves
+    along the scene's path.
 
     After a lost graphics context it continues with the state of the previous window. Loads the engine.
     """
     from gsrain_engine.editor.editor import Editor
     from gsrain_engine.editor.jobs.folder import remove_abandoned_job_folders
-    from gsrain_engine.rain.settings import RainSettings
+    from gsrain_engine.rain.keyframes import NO_KEYFRAMES, RainKeyframes
     from gsrain_engine.rain.wetness import with_wet_choice
 
-    rain = rain if wet is not False else with_wet_choice(rain or RainSettings(), wet)
-    editor, restarts = Editor(rain=rain), _TIMES in os.environ
+    def asked(rain: RainSettings, keyframes: RainKeyframes) -> tuple[RainSettings, RainKeyframes]:
+        if preset is not None:
+            rain, keyframes = preset, NO_KEYFRAMES
+        if intensity_mm_h is not None:
+            rain = msgspec.structs.replace(rain, intensity_mm_h=intensity_mm_h)
+            keyframes = keyframes.without("intensity_mm_h")
+        if wet is False:
+            rain, keyframes = with_wet_choice(rain, wet), keyframes.without("wetness")
+        return rain, keyframes
+
+    editor, restarts = Editor(rain=preset), _TIMES in os.environ
     autosave, left = os.environ.pop(_AUTOSAVE, ""), os.environ.pop(_SCENE, "")
     if restarts and autosave:
         editor.files.go_on_at(Path(autosave))
     else:
+        editor.asked = asked
         editor.files.open((restarts and left) or scene or "street")
         editor.viewport.options.follow_path = follow_path
         if wet:

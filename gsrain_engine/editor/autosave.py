@@ -309,6 +309,7 @@ class SavedView(msgspec.Struct, frozen=True, kw_only=True):
     background: _Triple = (0.0, 0.0, 0.0)
     gain_ev: Annotated[float, Meta(ge=-10, le=10)] = 0.0
     look: RenderMode = "splats"
+    orthographic: bool = False
 
 
 def saved_scene(viewport: ViewportState) -> Scene:
@@ -326,6 +327,7 @@ def saved_scene(viewport: ViewportState) -> Scene:
         background=options.background,
         gain_ev=options.gain_ev,
         look=options.look,
+        orthographic=options.orthographic,
     )
     rain, keyframes, view = map(msgspec.to_builtins, (document.rain, document.keyframes, saved_view))
     return replace(document.scene, rain=rain, weather=keyframes if document.keyframes.keys else None, view=view)
@@ -344,3 +346,4 @@ def restore_view(viewport: ViewportState, values: Mapping[str, Any]) -> None:
     viewport.playback.clock.time_s = saved.time_s
     options = viewport.options
     options.background, options.gain_ev, options.look = saved.background, saved.gain_ev, saved.look
+    options.orthographic = saved.orthographic

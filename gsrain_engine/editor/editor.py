@@ -1,14 +1,14 @@
 """The editor without a window: its parts, opening and closing, and the frames that a live view draws of it."""
 
 import time
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from pathlib import Path
 
 import platformdirs
 
 from ..compile_cache import kernel_names
 from ..malloc_tuning import MemoryTrimmer
-from ..rain.keyframes import NO_KEYFRAMES, keyframes_of, rain_of
+from ..rain.keyframes import NO_KEYFRAMES, RainKeyframes, keyframes_of, rain_of
 from ..rain.settings import RainSettings, load_preset
 from ..scene.gaussians import IdentityKey, forget_scenes
 from ..scene.scene import Scene
@@ -56,6 +56,8 @@ class Editor:
         self._is_closed = False
         self.should_quit = False
         """True if the program is to end now: the user has quit and decided about unsaved changes."""
+        self.asked: Callable[[RainSettings, RainKeyframes], tuple[RainSettings, RainKeyframes]] | None = None
+        """Changes the rain and the keyframes of the next scene that is opened, as its user has asked for."""
         clock, scene = PlaybackClock(), scene or Scene("no scene")
         state = DocumentState(scene, rain or rain_around(scene, load_preset("clear")))
         self.status = StatusBus()
@@ -97,8 +99,11 @@ class Editor:
         self.jobs.leave_scene()
         self.rollouts.drop_all()
         scene = opened.scene
-        rain = rain_of(scene) or rain_around(scene, self.document.rain)
-        state = DocumentState(scene, rain, keyframes_of(scene) or NO_KEYFRAMES)
+        saved, keyframes = rain_of(scene), keyframes_of(scene) or NO_KEYFRAMES
+        rain, asked, self.asked = saved or self.document.rain, self.asked, None
+        if asked is not None:
+            rain, keyframes = asked(rain, keyframes)
+        state = DocumentState(scene, rain if saved and not asked else rain_around(scene, rain), keyframes)
         self.document.open(state)
         self.files.enter(opened, state)
         self._reset_view()
@@ -219,7 +224,7 @@ class Editor:
         """True if the picture changes while time plays: rain, road users, or a camera that rides."""
         if self.viewport.options.follow_path or self.playback.rollout_span_s is not None:
             return True
-        falls = self.viewport.options.look == "splats"
+        falls = self.viewport.options.look == "splats" and not self.viewport.options.orthographic
         return any(pane.scene.actors or (falls and pane.rainfall.can_rain) for pane in self.split_panes)
 
     @property

@@ -225,6 +225,7 @@ class RenderQueue:
             twin=None,
             first_s=self._playback.clock.time_s,
             last_s=None,
+            marks=self._viewport.marks,
         )
 
     def still_scene(self) -> Scene:
@@ -240,6 +241,7 @@ class RenderQueue:
             quaternions_from_matrices(pose[None, :3, :3]),
             np.array([camera.vertical_fov_deg]),
             camera.exposure_s,
+            plane_m=camera.plane_m,
         )
         return replace(scene, path=path.moved(np.linalg.inv(scene.scene_to_world)))
 

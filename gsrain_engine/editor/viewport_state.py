@@ -4,13 +4,15 @@ import time
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
+from ..choices import Mark
 from ..render.view import RenderView
 from ..scene.camera import Camera
 from ..scene.camera_path import CameraPath
+from ..scene.orthographic import fitted_scale, orientation, orthographic
 from ..scene.scene import DrawItem, Scene, SceneCore, core_bounds
 from .background import Background
 from .document import Document, DocumentState, Recipe
@@ -128,9 +130,28 @@ class ViewportState:
             is_still = not self.path.is_timed and not self.playback.clock.playing  # untimed photos, viewed one by one
             return RenderView(camera, t, None if is_still else self.path.velocity(t), camera.fx * focal_scale)
         camera = self.motion.expected(self.navigation, ahead_s).camera(width, height)
+        if self.options.orthographic:
+            camera = orthographic(camera, self.navigation.distance_m, self.core)
         ride = self.following.velocity_m_s if self.chase.velocity_m_s is None else self.chase.velocity_m_s
         velocity = self.navigation.velocity_m_s if ride is None else self.navigation.velocity_m_s + ride
         return RenderView(camera, t, velocity, camera.fx * focal_scale)
+
+    @property
+    def marks(self) -> tuple[Mark, ...]:
+        """Marks over the view; none unless it is orthographic."""
+        shown = self.options.marks if self.options.orthographic and not self.options.follow_path else ()
+        return tuple(each for each in get_args(Mark) if each in shown)
+
+    def look_from_above(self) -> None:
+        """Show the scene from above, to scale, with +y upwards; leave paths and actors."""
+        self.stop_riding()
+        self.following.follow("")
+        eye, options, core = self.navigation, self.options, self.core
+        options.orthographic, eye.pivot, eye.heading, eye.pitch = True, None, np.pi / 2, -np.pi / 2
+        width, height = _VIEW_SIZE
+        down_m = height / fitted_scale(core, orientation(self.document.scene, "top"), width, height)
+        eye.distance_m = down_m / (2 * float(np.tan(np.radians(eye.vertical_fov_deg) / 2)))
+        eye.position = core.middle - eye.distance_m * eye.forward
 
     def canvas_view(self, width: int, height: int) -> RenderView:
         """View of the picture on the screen, for what is drawn over it and picked in it; at first the present one."""
@@ -178,6 +199,7 @@ class ViewportState:
         """Take the pose of a camera (without roll) and its field of view; follow nothing any more."""
         self.stop_riding()
         self.following.follow("")
+        self.options.orthographic = False
         self.navigation.stop()
         self.navigation.look_like(camera)
         self._given_m = self.navigation.position.copy()
@@ -215,22 +237,31 @@ class ViewportState:
         point_m = pick_point(self.document.scene, self.canvas_view(width, height), x, y)
         if point_m is not None:
             self.stop_riding()
-            self.navigation.set_pivot(point_m)
+            eye, scale_m = self.navigation, self.navigation.distance_m
+            eye.set_pivot(point_m)
+            if self.options.orthographic:  # along the line of sight, so that the view and its scale stay
+                eye.position, eye.distance_m = eye.position + (eye.distance_m - scale_m) * eye.forward, scale_m
         return point_m is not None
 
     def orbit(self, right_rad: float, up_rad: float) -> None:
         """Turn around the pivot; near a wall the camera stops in front of it."""
         before = replace(self.navigation)
         self.navigation.orbit(right_rad, up_rad)
-        if np.array_equal(before.position, self._given_m):
+        if self.options.orthographic or np.array_equal(before.position, self._given_m):
             return
         obstacles = self.obstacles.of(self.document.scene, self.core.radius_m)
         if obstacles is not None and obstacles.stops(before.position, self.navigation.position):
             self.navigation = before
 
     def dolly(self, steps: float) -> None:
-        """Move toward the target (positive) or away; from outside of the scene, toward the scene."""
-        self.navigation.dolly(steps, self.core)
+        """Move toward the target (positive) or away; from outside of the scene, toward the scene.
+
+        Of an orthographic view it changes the scale.
+        """
+        if self.options.orthographic:
+            self.navigation.zoom(steps)
+        else:
+            self.navigation.dolly(steps, self.core)
 
     @property
     def core(self) -> SceneCore:
@@ -241,6 +272,7 @@ class ViewportState:
         return self._core[1]
 
     def go_home(self) -> None:
+        self.options.orthographic = False
         self.navigation = home_viewport_camera(self.document.scene, *_VIEW_SIZE, self.navigation.speed_m_s)
 
     def reset(self) -> None:

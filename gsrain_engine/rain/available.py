@@ -6,14 +6,15 @@ from typing import Any, Literal
 from ..fields import option_names
 from .settings import RainSettings
 
-Source = Literal["scene", "photographs", "Gaussians", "Gaussians with scene", "page", "lidar", "disdrometer"]
-"""Sources of pictures: a scene; photographs; files of its Gaussians, which are no pictures; a web page; a lidar; a
-virtual disdrometer."""
+Source = Literal["scene", "plan", "photographs", "Gaussians", "Gaussians with scene", "page", "lidar", "disdrometer"]
+"""Sources of pictures: a scene; one by an orthographic camera; photographs; files of its Gaussians, which are no
+pictures; a web page; a lidar; a virtual disdrometer."""
 
 _SURFACES = "photographs have no surfaces for it; gsrain reconstruct makes a scene of them, for --scene"
 _PHOTOGRAPHS = "only photographs have a light of their own to keep; --wetness sets that of a scene"
 _FILE = "a file of Gaussians holds streaks and haze only; gsrain render draws it"
 _PAGE = "a page has none; gsrain render draws it"
+PLAN_SHOWS = "an orthographic picture has the light and the wet ground of rain, without drops, haze, glass and sensor"
 _LIDAR = "a lidar has none of it: drops return echoes, and their air takes light away"
 _COUNTED = "a disdrometer counts drops, and draws nothing; gsrain render does"
 _GLASS_DETAILS = "wiper", "glass_wet_s", "glass_dirt", "contact_angle_deg", "glass_distance_m"
@@ -22,6 +23,10 @@ _PICTURES = "lamps", "lamp_gain", "mirror", "splashes", "spray", "glass", "senso
 
 UNAVAILABLE: dict[Source, dict[str, str]] = {
     "scene": {"keep_light": _PHOTOGRAPHS},
+    "plan": dict.fromkeys(
+        ("exposure_s", "streaks", "haze", "haze_gain", "streak_gain", "splashes", "spray", "glass", "sensor",
+         "visibility_m", *_GLASS_DETAILS), PLAN_SHOWS
+    ) | {"keep_light": _PHOTOGRAPHS},
     "photographs": dict.fromkeys(
         ("roofs", "lamps", "lamp_gain", "wetness", "mirror", "splashes", "spray"), _SURFACES
     ) | {"sensor": "a photograph has been through its camera's sensor; --exposure sets the shutter of the drops"},

@@ -31,7 +31,7 @@ from .level_of_detail import lod_cut
 from .object_labels import draw_labels, label_legend
 from .provenance import PictureProvenance, provenance_of
 from .renderer import Frame, PendingImage, Renderer, RenderStatistics
-from .sequence import FrameSequence, RigCameraView, common_sky, find_rig_cameras
+from .sequence import FollowingCamera, FrameSequence, RigCameraView, common_sky, find_rig_cameras
 from .sky_color import SkyColor
 
 _PREVIEW_PX = 320
@@ -283,7 +283,7 @@ def export_sequences(
     recording: ExportSettings,
     scene: Scene,
     rainfall: RainSimulation,
-    viewpoint: Camera | CameraPath,
+    viewpoint: Camera | CameraPath | FollowingCamera,
     *,
     in_scene_time: bool,
 ) -> dict[str, FrameSequence]:
@@ -298,7 +298,7 @@ def export_sequences(
         scene = replace(scene, layers=tuple(each for each in scene.layers if each.kind != "sky"))
     lod = merges_details(recording, scene)
     scene = with_lod_trees(scene) if lod else scene
-    views: dict[str, Camera | CameraPath | RigCameraView] = {"": viewpoint}
+    views: dict[str, Camera | CameraPath | RigCameraView | FollowingCamera] = {"": viewpoint}
     if recording.cameras:  # named as their files; prefixed with the rig if there are several rigs
         found = find_rig_cameras(scene, recording.cameras)
         several = len({each.rig for each in found}) > 1
@@ -315,7 +315,10 @@ def export_sequences(
             in_scene_time=in_scene_time and isinstance(view, CameraPath), supersampling=recording.supersampling,
             motion_blur=recording.motion_blur, at_rest=recording.is_still and is_untimed, lod=lod,
             projection=recording.projection, sky_scene=whole if recording.transparent else None,
+            marks=recording.marks,
         )  # fmt: skip
+        if recording.marks and not sequences[name].shot(0).camera.is_orthographic:
+            raise ValueError(f"marks {', '.join(recording.marks)}: only an orthographic picture has a scale for them")
     return sequences
 
 
@@ -345,7 +348,7 @@ def frame_numbers(recording: ExportSettings, sequences: Mapping[str, FrameSequen
     lengths_s = [1 / recording.fps]
     for each in sequences.values():
         length_s = LONGEST_DEFAULT_S if each.length_s is None else each.length_s
-        has_times = each.in_scene_time or isinstance(each.camera, RigCameraView)
+        has_times = each.in_scene_time or isinstance(each.camera, RigCameraView | FollowingCamera)
         lengths_s.append(length_s if has_times else min(LONGEST_DEFAULT_S, length_s))
     return range(max(1, round(max(lengths_s) * recording.fps)))
 

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from msgspec import Meta
 
+from ..choices import Mark
 from ..safe_io.file_names import shortened
 from ..settings import Settings
 
@@ -82,6 +83,10 @@ class ExportSettings(Settings, frozen=True, kw_only=True, forbid_unknown_fields=
         description="360: equirectangular, twice as wide as high, level, with the camera's heading in the middle. "
         "stereo: left and right eye side by side, 65 mm apart. Both without the sensor's picture and water on glass.",
     )] = "perspective"
+    marks: Annotated[tuple[Mark, ...], Meta(
+        title="Marks", extra={"topic": "Camera and time", "commands": "render*"},
+        description="Drawn over orthographic pictures (--camera top or ortho): grid, lines at round meters; scale, a "
+        "bar; boxes and paths of road users.")] = ()
     transparent: Annotated[bool, Meta(
         title="Transparent background", extra={"commands": "render*"},
         description="Leave out the sky layers, and write what covers a pixel as its alpha: PNG, EXR, NPY, or WebM "

@@ -96,6 +96,8 @@ FALLING = frozenset({"streaks", "medium", "rings", "splashes", "spray"})
 FILTERS = frozenset({"glass", "sensor"})
 """Passes that act on the whole picture, after all of its samples."""
 
+_NOT_ORTHOGRAPHIC = FALLING | FILTERS  # an eye that is nowhere has no drops, air and glass before it
+
 
 @dataclass(frozen=True, eq=False)
 class FrameInput:
@@ -130,11 +132,15 @@ class FrameInput:
         mount: Mount | None = None,
         photograph: Photograph | None = None,
     ) -> "FrameInput":
-        """Decide the light of a picture: that of the sky at its time, closed as far as it rains."""
+        """Decide the light of a picture: that of the sky at its time, closed as far as it rains.
+
+        An orthographic camera has the light and the wet colors of the rain alone.
+        """
         overcast = 0.0 if simulation is None or is_clear else simulation.overcast_at(view.time_s)
+        left_out = _NOT_ORTHOGRAPHIC.union(without) if view.camera.is_orthographic else frozenset(without)
         return cls(
-            scene, simulation, view, sky.at(overcast), quality or Quality(), is_clear, frozenset(without),
-            mount or Mount(), photograph,
+            scene, simulation, view, sky.at(overcast), quality or Quality(), is_clear, left_out, mount or Mount(),
+            photograph,
         )  # fmt: skip
 
     def changed(

@@ -43,6 +43,8 @@ class Relief:
         rows, columns = -(-height // step), -(-width // step)
         inverse = np.zeros((rows * step, columns * step), np.float32)
         np.divide(np.float32(1), depth_m, out=inverse[:height, :width], where=depth_m > 0)
+        if camera.is_orthographic:  # what is empty is not at infinity, but as far as the rest
+            inverse[inverse == 0] = inverse.max(initial=0.0)
         blocks = np.pad(inverse.reshape(rows, step, columns, step).max(axis=(1, 3)), 1, mode="edge")
         pairs = np.maximum(blocks[1:], blocks[:-1])
         corners = np.maximum(pairs[:, 1:], pairs[:, :-1])

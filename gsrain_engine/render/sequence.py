@@ -3,17 +3,18 @@
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
-from ..choices import RenderMode
+from ..choices import Mark, RenderMode
 from ..rain.settings import RainSettings
 from ..rain.simulation import OVERCAST, RainSimulation
 from ..scene.camera import Camera
 from ..scene.camera_path import CameraPath
 from ..scene.rig import rig_camera
-from ..scene.scene import RigCamera, Scene
+from ..scene.scene import PoseTrack, RigCamera, Scene
 from ..water.glass import CameraMotion, GlassState
 from .bands import PictureBands, has_one_band
 from .draw import draw, filters_of, meter
@@ -24,7 +25,8 @@ from .level_of_detail import LodCut
 from .panorama import compose, views_of
 from .passes.glass import glass_state
 from .passes.spray import has_spray
-from .renderer import Frame, PendingImage, Renderer
+from .plan_marks import draw_marks
+from .renderer import Frame, PendingImage, PictureFilter, Renderer
 from .sky_color import SkyColor, sky_color
 from .view import RenderView
 
@@ -62,13 +64,37 @@ class RigCameraView:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class FollowingCamera:
+    """Camera that moves with a road user or the ego vehicle, and keeps its own orientation. World frame, meters."""
+
+    scene: Scene
+    track: PoseTrack
+    """In scene units and axes, with at least one valid sample; the camera rests before the first and after the last."""
+    camera: Camera
+    """Of the first valid sample."""
+
+    def at(self, time_s: float) -> Camera:
+        """Camera at a time."""
+        track, to_world = self.track, self.scene.scene_to_world[:3, :3]
+        times, places = track.times[track.valid], track.positions[track.valid]
+        now = np.array([np.interp(time_s, times, column) for column in places.T])
+        moved = self.camera.world_to_camera[:3, :3] @ to_world @ (now - places[0])
+        return self.camera.shifted(*moved.tolist())
+
+    @property
+    def times_s(self) -> Float64[np.ndarray, " t"]:
+        """Times of the valid samples."""
+        return self.track.times[self.track.valid]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class FrameSequence:
     """Scene, rain, camera and timing of a sequence of frames. World frame, meters."""
 
     scene: Scene
     rainfall: RainSimulation
-    camera: Camera | CameraPath | RigCameraView
-    """Fixed camera, camera path, or camera of the ego vehicle's rig."""
+    camera: Camera | CameraPath | RigCameraView | FollowingCamera
+    """Fixed camera, camera path, camera of the ego vehicle's rig, or one that follows a road user."""
     width: int
     height: int
     fps: float = 30.0
@@ -86,6 +112,8 @@ class FrameSequence:
     lod: bool = False
     """True if images without depth merge details smaller than a pixel, in members that have a tree."""
     projection: Projection = "perspective"
+    marks: tuple[Mark, ...] = ()
+    """Marks over the 8-bit images of an orthographic camera."""
     sky_scene: Scene | None = None
     """Scene whose sky gives drops and medium their colors, if another: that of a transparent background has none."""
     _memory: CameraMemory = field(default_factory=CameraMemory, init=False)
@@ -104,7 +132,7 @@ class FrameSequence:
                 return None
             case CameraPath():
                 return (self.camera.end_s if self.in_scene_time else self.camera.duration_s) - self.start_s
-            case RigCameraView():
+            case RigCameraView() | FollowingCamera():
                 return float(self.camera.times_s[-1]) - self.start_s
 
     def shot(self, number: int) -> RenderView:
@@ -121,6 +149,8 @@ class FrameSequence:
             case RigCameraView():
                 camera = self.camera.at(time_s).resized(self.width, self.height)
                 return RenderView(camera, time_s, self.camera.velocity(time_s))
+            case FollowingCamera():
+                return RenderView(self.camera.at(time_s).resized(self.width, self.height), time_s)
 
     def sky(self, renderer: Renderer) -> SkyColor:
         """Sample the sky from the start of the sequence, once; all cameras of a rig use the same position."""
@@ -131,6 +161,8 @@ class FrameSequence:
                 place = self.camera
             case CameraPath():
                 place = self.camera.camera(0.0, self.width, self.height)
+            case FollowingCamera():
+                place = self.camera.camera
             case RigCameraView():
                 rig, ego = self.camera.rig, self.scene.ego
                 assert ego is not None
@@ -153,6 +185,7 @@ class FrameSequence:
     ) -> Frame:
         """Render a frame; `sky=None` omits the rain. Depth is the scene's at the frame's time, one sample per pixel.
 
+        That of an orthographic camera counts from its picture plane.
         Samples inside a pixel are averaged as the renderer blends: premultiplied, in display values. Sub-frames are
         averaged as on a sensor: in linear light. `face` is one of the views of a panorama or a stereo image.
         """
@@ -193,12 +226,16 @@ class FrameSequence:
             alone = Quality(with_depth=True, bands=PictureBands(renderer))
             depth = draw(renderer, whole.changed(quality=alone, is_clear=True, without=FILTERS)).frame().depth
             frame = replace(frame, depth=depth)
-        return replace(frame, filters=filters)
+        if frame.depth is not None and middle.camera.is_orthographic:
+            behind_m = np.maximum(frame.depth - np.float32(middle.camera.plane_m), 0)
+            frame = replace(frame, depth=behind_m)
+        return replace(frame, filters=filters + self._marks_of(middle))
 
     def frame_input(self, shot: RenderView, sky: Sky | None, mode: RenderMode = "splats") -> FrameInput:
         """Everything that a picture of the sequence holds; `sky=None` leaves out the rain."""
         mount = Mount(self._memory, past=self._motion, camera_to_vehicle=self._camera_to_vehicle)
-        quality = Quality(mode, thinning=LodCut() if self.lod and mode == "splats" else None)
+        is_cut = self.lod and mode == "splats" and not shot.camera.is_orthographic
+        quality = Quality(mode, thinning=LodCut() if is_cut else None)
         without = frozenset[str]() if self.falls else FALLING
         return FrameInput.of(
             self.scene, self.rainfall, sky or OVERCAST, shot, quality,
@@ -239,7 +276,12 @@ class FrameSequence:
             return self.frame(renderer, number, sky, mode=mode).to_uint8
         whole = self.frame_input(shot, sky, mode)
         self._meter(renderer, whole)
-        return draw(renderer, whole).request_uint8()
+        drawn, marks = draw(renderer, whole), self._marks_of(shot)
+        return replace(drawn, filters=drawn.filters + marks).request_uint8()
+
+    def _marks_of(self, shot: RenderView) -> tuple[PictureFilter, ...]:
+        marks = partial(draw_marks, self.scene, shot, self.marks)
+        return (PictureFilter("marks", marks),) if self.marks else ()
 
     def glass_state(self, number: int) -> GlassState:
         """Figures of the water on the glass at a frame; all 0 without glass."""
@@ -248,7 +290,7 @@ class FrameSequence:
     def _motion(self, time_s: float) -> CameraMotion:
         """Orientation and velocity at a time; before the path or drive those of its start."""
         match self.camera:
-            case Camera():
+            case Camera() | FollowingCamera():
                 first_s = time_s
             case CameraPath():
                 first_s = self.camera.start_s if self.in_scene_time else 0.0

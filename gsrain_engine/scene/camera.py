@@ -46,6 +46,8 @@ class Camera:
     """Motion during the readout, in the middle of which the camera has its pose; None is a global shutter."""
     rows_outside: tuple[int, int] = (0, 0)
     """Rows above and below that the whole picture has, of which this is a `band`."""
+    plane_m: float = 0.0
+    """Depth of the picture plane of an orthographic camera, before which nothing is drawn; 0 for others."""
 
     @classmethod
     def from_fov(
@@ -83,6 +85,16 @@ class Camera:
     def is_pinhole(self) -> bool:
         """True without a lens and without a rolling shutter."""
         return self.lens is None and self.rolling is None
+
+    @property
+    def is_orthographic(self) -> bool:
+        """True if its rays are parallel but for a part of a pixel: its eye is far behind its picture plane."""
+        return self.plane_m > 0
+
+    @property
+    def pixels_per_m(self) -> float:
+        """Scale of an orthographic camera's picture."""
+        return self.fy / self.plane_m
 
     @property
     def pinhole(self) -> "Camera":
@@ -161,13 +173,14 @@ class Camera:
         if rolling is not None:
             x, y, z = (float(scale) * np.array(rolling.shift_m)).tolist()
             rolling = replace(rolling, shift_m=(x, y, z))
-        return replace(self, world_to_camera=matrix, rolling=rolling)
+        return replace(self, world_to_camera=matrix, rolling=rolling, plane_m=float(scale) * self.plane_m)
 
     def to_json(self) -> dict[str, Any]:
         values = {name: getattr(self, name) for name in ("width", "height", "fx", "fy", "cx", "cy")}
         values["world_to_camera"] = self.world_to_camera.tolist()
         others = {"lens": self.lens, "rolling_shutter": self.rolling}
-        return values | {name: msgspec.to_builtins(each) for name, each in others.items() if each is not None}
+        values |= {name: msgspec.to_builtins(each) for name, each in others.items() if each is not None}
+        return values | ({"plane_m": self.plane_m} if self.is_orthographic else {})
 
     @classmethod
     def from_json(cls, values: dict[str, Any], source: Path | str = "camera") -> "Camera":
@@ -179,7 +192,11 @@ class Camera:
             exposure_s = float(values.get("exposure_s", DEFAULT_EXPOSURE_S))
             lens = _convert(values, "lens", Lens, source)
             rolling = _convert(values, "rolling_shutter", RollingShutter, source)
-            camera = cls(int(values["width"]), int(values["height"]), fx, fy, cx, cy, matrix, exposure_s, lens, rolling)
+            plane_m = float(values.get("plane_m", 0.0))
+            camera = cls(
+                int(values["width"]), int(values["height"]), fx, fy, cx, cy, matrix, exposure_s, lens, rolling,
+                plane_m=plane_m,
+            )  # fmt: skip
         except KeyError as error:
             raise SceneFormatError(source, f"camera has no field {error.args[0]!r}") from None
         except SceneFormatError:
@@ -219,6 +236,8 @@ class Camera:
             raise SceneFormatError(source, "fx, fy must be above 0 and fx, fy, cx, cy finite")
         if not 0 < self.exposure_s <= 10:
             raise SceneFormatError(source, f"exposure_s {self.exposure_s} must be above 0 and at most 10 s")
+        if not 0 <= self.plane_m < _FARTHEST or (self.is_orthographic and not self.is_pinhole):
+            raise SceneFormatError(source, f"plane_m {self.plane_m} must be 0 or more, and 0 with a lens")
         if self.lens is not None:
             try:
                 self.lens.check_drawable()

@@ -152,6 +152,8 @@ class CameraPath:
     """
     key_easings: tuple[KeyEasing | None, ...] = ()
     """Easing from each keyframe to the next one; None, and all of an empty tuple, follow `easing`."""
+    plane_m: float = 0.0
+    """That of orthographic cameras, see `Camera.plane_m`; 0 for others."""
 
     def __post_init__(self) -> None:
         for name in ("times_s", "positions", "quaternions_wxyz", "vertical_fov_deg"):
@@ -219,7 +221,7 @@ class CameraPath:
             camera_to_world[:3, 3] = self._curves.positions(t)
             fov = float(self._curves.fields_of_view(t))
         camera = Camera.from_fov(width, height, fov, np.linalg.inv(camera_to_world))
-        return replace(camera, exposure_s=self.exposure_s)
+        return replace(camera, exposure_s=self.exposure_s, plane_m=self.plane_m)
 
     def velocity(self, time_s: float) -> Float64[np.ndarray, "3"]:
         """Velocity of the camera in world units per second; zero outside the keyframes."""
@@ -251,6 +253,7 @@ class CameraPath:
             self,
             positions=self.positions @ similarity[:3, :3].T + similarity[:3, 3],
             quaternions_wxyz=quaternions_from_matrices(turn @ matrices_from_quaternions(self.quaternions_wxyz)),
+            plane_m=self.plane_m * float(np.cbrt(np.linalg.det(similarity[:3, :3]))),
         )
 
     def _at(self, times_s: Float64[np.ndarray, " t"]) -> Eased:

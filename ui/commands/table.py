@@ -484,6 +484,12 @@ COMMAND_GROUPS: tuple[tuple[Command, ...], ...] = (
         Command("Frame selection or scene", _call("viewport.frame_scene"), "View", "F",
                 "Move back until the selection, else the active layer or actor, else the scene is visible."),
         Command("Go home", _call("viewport.go_home"), "View", "R or Home", "Return to the initial view of the scene."),
+        Command("Look from above", _call("viewport.look_from_above"), "View", "7",
+                "Show the scene from above, to scale, with +y upwards: a plan, with marks from the Display panel.",
+                _has_scene, shell="render"),
+        Command("Orthographic view", _toggle("viewport.options.orthographic"), "View", "5",
+                "Parallel rays: equal lengths are equally long. Shows the light and wet ground of the rain, without "
+                "drops and haze.", _has_scene, _is("viewport.options.orthographic"), shell="render"),
         Command("Highlight selection", _toggle("viewport.options.show_selection"), "View", "Shift+S",
                 "Tint the selected Gaussians.", is_on=_is("viewport.options.show_selection")),
         Command("Take screenshot", _call("take_screenshot"), "View", "F12",

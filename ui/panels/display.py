@@ -1,11 +1,15 @@
 """Display panel and Statistics panel."""
 
+from typing import get_args
+
 from imgui_bundle import imgui
 
+from gsrain_engine.choices import Mark
 from gsrain_engine.editor.preferences import Preferences, PreferencesStore
 from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.render.opengl.buffers import Harmonics
 
+from ..commands.table import help_of
 from ..widgets.fields import WARNING, combo, disabled, edit_field, field_label, number, plain_label
 from ..widgets.numbers import slide
 from ..widgets.text import readings
@@ -40,6 +44,16 @@ def display_panel(viewport: ViewportState, preferences: PreferencesStore) -> Non
         "Vertical FOV (deg)", "fov", navigation.vertical_fov_deg, 15, 110, "%.0f\u00b0", "Vertical field of view."
     )
     navigation.vertical_fov_deg = fov
+    plain_label("Orthographic", help_of("Orthographic view"))
+    _, view.orthographic = imgui.checkbox("##orthographic", view.orthographic)
+    plain_label("Marks", "Lines over an orthographic view, and over images of it that are rendered.")
+    with disabled(not view.orthographic):
+        for place, mark in enumerate(get_args(Mark)):
+            if place % 2:
+                imgui.same_line()
+            changed, is_on = imgui.checkbox(mark.capitalize(), mark in view.marks)
+            if changed:
+                view.marks = view.marks | {mark} if is_on else view.marks - {mark}
     imgui.separator_text("Window")
     if (changed := edit_field(preferences.value, "theme")) is not preferences.value:
         preferences.set(theme=changed.theme)

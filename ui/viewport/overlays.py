@@ -1,6 +1,7 @@
 """Overlays on the viewport: camera path, capture, matching, roll-out, divider and preview."""
 
 from collections.abc import Callable
+from itertools import groupby, pairwise
 
 import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui
@@ -18,6 +19,8 @@ from gsrain_engine.editor.overlays_drive import BoxMark, DetectionBox, detection
 from gsrain_engine.editor.timeline import Playback
 from gsrain_engine.editor.viewport.picking import project_lines, project_point
 from gsrain_engine.editor.viewport_state import ViewportState
+from gsrain_engine.render.plan_marks import COLORS as MARK_COLORS
+from gsrain_engine.render.plan_marks import bar_line, mark_lines, scale_bar
 from gsrain_engine.simulation.metrics.collisions import LONGEST_S
 
 from ..widgets.draw import CHOSEN, KEY, OUTLINE, PLAYHEAD, Canvas, color, draw_card, draw_dot, draw_lines
@@ -37,6 +40,31 @@ _MARGIN = 10.0
 _PAPER = ImVec4(0.06, 0.065, 0.08, 0.8)
 _INK = ImVec4(0.94, 0.94, 0.96, 1.0)
 _FAINT = ImVec4(0.7, 0.71, 0.75, 1.0)
+
+# Marks of an orthographic view
+
+
+def plan_overlay(document: Document, viewport: ViewportState, canvas: Canvas) -> bool:
+    """Draw grid, scale bar, boxes and paths over a view to scale."""
+    marks = viewport.marks
+    if not marks or not canvas.shot.camera.is_orthographic:
+        return False
+    found, bar = mark_lines(document.scene, canvas.shot, marks), scale_bar(canvas.shot.camera)
+    left, bottom = canvas.width - bar.length_px - 2 * _MARGIN, 2 * _MARGIN + 1.5 * imgui.get_font_size()
+    if "scale" in marks:
+        found.append(bar_line(bar, left, bottom))
+    for mark, group in groupby(found, key=lambda each: each.mark):
+        red, green, blue = (value / 255 for value in MARK_COLORS[mark])
+        ink = ImVec4(red, green, blue, 0.35 if mark == "grid" else 0.95)
+        lines = [ends for each in group for ends in pairwise(each.points_px.tolist())]
+        draw_lines(canvas, lines, ink, 1.0 if mark == "grid" else 1.8, outline=0.0 if mark == "grid" else 1.5)
+    if "scale" in marks:
+        place = canvas.on_screen(left, bottom - 1.4 * imgui.get_font_size())
+        draws = imgui.get_window_draw_list()
+        draws.add_text(ImVec2(place.x + 1, place.y + 1), color(OUTLINE), bar.label)
+        draws.add_text(place, color(_INK), bar.label)
+    return False
+
 
 # Camera path
 
@@ -418,7 +446,9 @@ def lamp_overlay(document: Document, viewport: ViewportState, canvas: Canvas) ->
     return True
 
 
-OVERLAYS: tuple[Overlay, ...] = (capture_overlay, matching_overlay, path_overlay, lamp_overlay, drive_overlay)
+OVERLAYS: tuple[Overlay, ...] = (
+    plan_overlay, capture_overlay, matching_overlay, path_overlay, lamp_overlay, drive_overlay,
+)  # fmt: skip
 
 # Divider of two images
 

@@ -133,7 +133,8 @@ def _navigate_by_keys(viewport: ViewportState) -> None:
     fast = _FAST if io.key_shift else 1.0
     # The frame in which a key was pressed may have begun long before: don't move in that one.
     held_s = io.delta_time if navigation.is_flying else 0.0
-    navigation.fly(*(fast * sum(axis) for axis in zip(*pressed, strict=True)), held_s)
+    directions = (fast * sum(axis) for axis in zip(*pressed, strict=True))
+    navigation.fly(*directions, held_s, across=viewport.options.orthographic)
 
 
 # Bars: tools, settings of the active tool, and view options

@@ -10,8 +10,9 @@ from ...scene.camera_path import CameraPath, orbit_path
 from ...scene.rig import rig_camera_path
 from ...scene.scene import RigCamera, Scene, SceneCore, ahead_of, core_bounds
 
-_STEEPEST = np.radians(89.0)
+_STEEPEST = np.radians(90.0)
 _UP = np.array([0.0, 0.0, 1.0])
+_VERTICAL = 1e-6  # horizontal part of a line of sight without a heading
 _NEAREST_M = 0.05  # distance at which the wheel moves the target ahead
 SLOWEST_M_S, FASTEST_M_S = 0.05, 500.0
 
@@ -46,18 +47,26 @@ class OrbitCamera:
         return np.array([np.sin(self.heading), -np.cos(self.heading), 0.0])
 
     @property
+    def upward(self) -> Float64[np.ndarray, "3"]:
+        """Unit vector that is upwards in the image."""
+        c, s = np.cos(self.pitch), np.sin(self.pitch)
+        return np.array([-s * np.cos(self.heading), -s * np.sin(self.heading), c])
+
+    @property
     def target(self) -> Float64[np.ndarray, "3"]:
         return self.position + self.distance_m * self.forward
 
     def camera(self, width: int, height: int) -> Camera:
         """Camera for an image of a size."""
-        pose = look_at(self.position, self.position + self.forward, _UP)
+        pose = np.eye(4)
+        pose[:3, :3] = self.right, -self.upward, self.forward
+        pose[:3, 3] = -pose[:3, :3] @ self.position
         return Camera.from_fov(width, height, self.vertical_fov_deg, pose)
 
     def look_like(self, camera: Camera) -> None:
         """Use the position, line of sight and field of view of a camera; roll is lost."""
         self.position, self.vertical_fov_deg, self.pivot = camera.position.copy(), camera.vertical_fov_deg, None
-        self._look_along(camera.world_to_camera[2, :3])
+        self._look_along(camera.world_to_camera[2, :3], camera.world_to_camera[0, :3])
 
     def carry(self, similarity: Float64[np.ndarray, "4 4"]) -> None:
         """Apply a similarity of the world to the camera; roll is lost."""
@@ -65,7 +74,7 @@ class OrbitCamera:
         self.position = similarity[:3, :3] @ self.position + similarity[:3, 3]
         self.distance_m *= scale
         self.pivot = None
-        self._look_along(similarity[:3, :3] @ self.forward / scale)
+        self._look_along(similarity[:3, :3] @ self.forward / scale, similarity[:3, :3] @ self.right / scale)
 
     def orbit(self, right_rad: float, up_rad: float) -> None:
         """Turn around the pivot, or the target, so that the scene follows the mouse."""
@@ -75,9 +84,9 @@ class OrbitCamera:
             self.position = target - self.distance_m * self.forward
             return
         away = self.position - self.pivot
-        before = np.stack([self.right, self.forward, np.cross(self.right, self.forward)])
+        before = np.stack([self.right, self.forward, self.upward])
         self.turn(-right_rad, -up_rad)
-        after = np.stack([self.right, self.forward, np.cross(self.right, self.forward)])
+        after = np.stack([self.right, self.forward, self.upward])
         self.position = self.pivot + after.T @ (before @ away)
 
     def set_pivot(self, point_m: Float64[np.ndarray, "3"]) -> None:
@@ -92,8 +101,7 @@ class OrbitCamera:
     def pan(self, right_share: float, up_share: float) -> None:
         """Move across the line of sight by shares of the image height at the target's distance."""
         metres = 2 * self.distance_m * np.tan(np.radians(self.vertical_fov_deg) / 2)
-        up = np.cross(self.right, self.forward)
-        self.position = self.position + metres * (right_share * self.right + up_share * up)
+        self.position = self.position + metres * (right_share * self.right + up_share * self.upward)
 
     def dolly(self, steps: float, core: SceneCore) -> None:
         """Move toward the target (positive) or away, by a tenth of the distance per step.
@@ -119,10 +127,17 @@ class OrbitCamera:
             return
         self.position, self.distance_m = moved, max(distance, min(0.01 * radius, _NEAREST_M))
 
-    def fly(self, forward: float, right: float, up: float, real_s: float) -> None:
-        """Fly for a time; each direction is -1, 0 or 1."""
+    def zoom(self, steps: float) -> None:
+        """Change the scale of an orthographic view by a tenth per step; its target stays."""
+        target = self.target
+        self.distance_m *= 0.9**steps
+        self.position = target - self.distance_m * self.forward
+
+    def fly(self, forward: float, right: float, up: float, real_s: float, *, across: bool = False) -> None:
+        """Fly for a time; each direction is -1, 0 or 1. With `across`, forward is upwards in the image."""
         self.pivot = None
-        self.velocity_m_s = self.speed_m_s * (forward * self.forward + right * self.right + up * _UP)
+        ahead = self.upward if across else self.forward
+        self.velocity_m_s = self.speed_m_s * (forward * ahead + right * self.right + up * _UP)
         self.position = self.position + self.velocity_m_s * real_s
 
     @property
@@ -145,8 +160,10 @@ class OrbitCamera:
         self.distance_m = min(fitting_m, max(core.farthest_m, 1e-3))
         self.position = core.middle - self.distance_m * self.forward
 
-    def _look_along(self, forward: Float64[np.ndarray, "3"]) -> None:
-        self.heading = float(np.arctan2(forward[1], forward[0]))
+    def _look_along(self, forward: Float64[np.ndarray, "3"], right: Float64[np.ndarray, "3"]) -> None:
+        is_vertical = np.hypot(forward[0], forward[1]) < _VERTICAL
+        x, y = (-right[1], right[0]) if is_vertical else forward[:2]
+        self.heading = float(np.arctan2(y, x))
         self.pitch = float(np.clip(np.arcsin(np.clip(forward[2], -1, 1)), -_STEEPEST, _STEEPEST))
 
     def _mend(self, core: SceneCore) -> None:

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
-from ...choices import RenderMode
+from ...choices import Mark, RenderMode
 from ...render.opengl.buffers import Harmonics
 from ...render.renderer import Color
 
@@ -32,6 +32,10 @@ class ViewOptions:
     """Extend the intensity slider to 149 mm/h."""
     follow_path: bool = False
     """Ride along the camera path instead of flying."""
+    orthographic: bool = False
+    """Parallel rays: a view to scale, without drops and haze; not along the path."""
+    marks: frozenset[Mark] = frozenset({"scale"})
+    """Marks over an orthographic view."""
     look: RenderMode = "splats"
     split: Split = "off"
     """The two images shown side by side."""

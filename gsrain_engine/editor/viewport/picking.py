@@ -145,11 +145,12 @@ _FAR_M = 5000.0
 
 def opengl_projection(camera: Camera) -> list[float]:
     """Eye to OpenGL clip space, with the camera's focal lengths and center."""
+    near, far = NEAR_M + 0.5 * camera.plane_m, _FAR_M + 2 * camera.plane_m
     matrix = np.zeros((4, 4))
     matrix[0, 0], matrix[0, 2] = 2 * camera.fx / camera.width, 1 - 2 * camera.cx / camera.width
     matrix[1, 1], matrix[1, 2] = 2 * camera.fy / camera.height, 2 * camera.cy / camera.height - 1
-    matrix[2, 2] = -(_FAR_M + NEAR_M) / (_FAR_M - NEAR_M)
-    matrix[2, 3] = -2 * _FAR_M * NEAR_M / (_FAR_M - NEAR_M)
+    matrix[2, 2] = -(far + near) / (far - near)
+    matrix[2, 3] = -2 * far * near / (far - near)
     matrix[3, 2] = -1
     return column_major(matrix)
 

@@ -46,8 +46,8 @@ def project(
     """Project Gaussians.
 
     EWA splatting (Zwicker et al. 2002) as in 3DGS (Kerbl et al. 2023), with gsplat's limits for off-center cameras.
-    Gaussians are left out if they are nearer than `NEAR_M`, outside the image, fainter than their cut, not finite or in
-    their part's mask. Memory is allocated only for possibly visible ones.
+    Gaussians are left out if they are nearer than `NEAR_M`, before an orthographic camera's plane, outside the image,
+    fainter than their cut, not finite or in their part's mask. Memory is allocated only for possibly visible ones.
 
     Args:
         parts: Gaussians with their similarity to the world (meters).
@@ -109,6 +109,8 @@ def project(
             )  # fmt: skip
         indices[first:last] = own + counted
         first, counted = last, counted + len(part.gaussians)
+    if camera.is_orthographic:
+        colors[colors[:, 3] < camera.plane_m, 3] = 0
     if camera.rows_outside[0]:
         shapes[:, 1] -= np.float32(camera.rows_outside[0])
     return Splats(shapes, colors, indices, points)

@@ -79,7 +79,7 @@ class ProjectionPass:
         switches = {**store.switches, "SH_BITS": SH_BITS[self._arrays.harmonics], **wet, **dims, **bent}
         frame: dict[str, Any] = {
             "intrinsics": (camera.fx, camera.fy, camera.cx, camera.cy), "image_size": (camera.width, camera.height),
-            "near": NEAR_M, "camera_to_world": tuple(camera.camera_to_world[:3, :3].T.ravel()),
+            "near": max(NEAR_M, camera.plane_m), "camera_to_world": tuple(camera.camera_to_world[:3, :3].T.ravel()),
             "look": _MODES.get(mode, 0),
         }  # fmt: skip
         if rain is not None and medium is not None:

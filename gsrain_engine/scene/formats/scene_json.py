@@ -135,6 +135,7 @@ class PathRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     easing: Easing = "none"
     loop: bool = False
     is_timed: bool = True
+    plane_m: Annotated[float, Meta(gt=0)] | msgspec.UnsetType = msgspec.UNSET
 
 
 _MAX_CELLS = 1 << 24  # of a map of water: 32 MB
@@ -446,6 +447,7 @@ def path_record(path: CameraPath) -> PathRecord:
             )
             for t, (x, y, z), (qw, qx, qy, qz), fov, easing in rows
         ],
+        plane_m=path.plane_m or msgspec.UNSET,
         **_fields(path, _PATH),
     )
 
@@ -465,6 +467,7 @@ def path_of(record: PathRecord, where: str) -> CameraPath:
         unit_quaternions([key.quaternion_wxyz for key in keys], where),
         np.array([key.vertical_fov_deg for key in keys], np.float64),
         key_easings=tuple(key.easing for key in keys) if any(key.easing for key in keys) else (),
+        plane_m=0.0 if record.plane_m is msgspec.UNSET else record.plane_m,
         **_fields(record, _PATH),
     )
 
