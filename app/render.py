@@ -237,16 +237,15 @@ def render(
         print(f"{camera_path or opened.name}: {timing.line}")
     sizes = ", ".join(dict.fromkeys(f"{each.width}x{each.height}" for each in sequences.values()))
     count = f"{report['frames']} of {len(numbers)} frames"
-    print(f"{_listed(outputs)}: {count}, {sizes}, {_describe(simulation, first_s)}")
+    scales = [each.camera.pixels_per_m for each in shots.values() if each.camera.is_orthographic]
+    drawn = _describe(simulation, first_s) if not scales else f"{scales[0]:.4g} px/m; {PLAN_SHOWS}"
+    print(f"{_listed(outputs)}: {count}, {sizes}, {drawn}")
     lamps = simulation.lamps.of(opened)
     if settings.lamps == FOUND_LAMPS:
         print(f"{counted(len(lamps), 'lamp')} found")
     distances = _visible_distances(simulation.frozen_at(first_s), sequences, numbers[0])
     for line in dict.fromkeys(map(_visible, distances)):
         print(line)
-    scales = [each.camera.pixels_per_m for each in shots.values() if each.camera.is_orthographic]
-    for scale in scales:
-        print(f"{scale:.4g} px/m; {PLAN_SHOWS}")
     if labeled:
         print(f"{_listed(labeled)}: labels, the same with rain and without")
     speeds = {"speed_m_s": timing.speed_m_s, "speed_is_assumed": timing.is_assumed} if timing is not None else {}

@@ -76,7 +76,7 @@ def begin_editor(
     from gsrain_engine.rain.keyframes import NO_KEYFRAMES, RainKeyframes
     from gsrain_engine.rain.wetness import with_wet_choice
 
-    def asked(rain: RainSettings, keyframes: RainKeyframes) -> tuple[RainSettings, RainKeyframes]:
+    def asked(rain: "RainSettings", keyframes: RainKeyframes) -> "tuple[RainSettings, RainKeyframes]":
         if preset is not None:
             rain, keyframes = preset, NO_KEYFRAMES
         if intensity_mm_h is not None:

@@ -53,10 +53,12 @@ def export_frames(
     Frames are complete and videos playable wherever the caller stops. The output is deterministic.
 
     Raises:
-        ValueError: For an output that can't be encoded.
+        ValueError: For an output that can't be encoded, and for marks without a scale.
         OSError: If it can't be written; frames written before remain playable. `PathInUseError` if another process
         writes it.
     """
+    if recording.marks and not all(each.shot(numbers[0]).camera.is_orthographic for each in sequences.values()):
+        raise ValueError(f"marks {', '.join(recording.marks)}: only an orthographic picture has a scale for them")
     with ExitStack() as stack:
         for path in export_outputs(recording, list(sequences)):
             stack.enter_context(hold_for_writing(path))
@@ -317,8 +319,6 @@ def export_sequences(
             projection=recording.projection, sky_scene=whole if recording.transparent else None,
             marks=recording.marks,
         )  # fmt: skip
-        if recording.marks and not sequences[name].shot(0).camera.is_orthographic:
-            raise ValueError(f"marks {', '.join(recording.marks)}: only an orthographic picture has a scale for them")
     return sequences
 
 

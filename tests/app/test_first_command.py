@@ -3,6 +3,7 @@
 import os
 import shlex
 import subprocess
+from contextlib import closing
 from dataclasses import replace
 
 import av
@@ -10,16 +11,18 @@ import pytest
 
 import ui.window
 from app.main import run
+from editor.files.open_document import settle
 from gsrain_engine.rain.settings import load_preset
 from gsrain_engine.scene.built_in import built_in_names
 from gsrain_engine.scene.formats.scene_files import write_scene
 from repository import REPOSITORY
 from small_scene import small_scene
+from ui.window import begin_editor
 
 
 @pytest.fixture
 def opened(monkeypatch):
-    """Record what windows would open: scene, rain, wet, follow_path."""
+    """Record what windows would open: scene, preset, intensity, wet, follow_path."""
     calls = []
     monkeypatch.setenv("DISPLAY", ":0")
     monkeypatch.setattr(ui.window, "begin_editor", lambda *given, **options: calls.append((*given, *options.values())))
@@ -41,7 +44,7 @@ def demo_command(display, folder):
 
 def test_make_demo_opens_the_window_where_there_is_a_display(opened, tmp_path):
     assert run(demo_command(":0", tmp_path)) == 0
-    assert opened == [("street:dusk", load_preset("demo"), True, True)]
+    assert opened == [("street:dusk", load_preset("demo"), None, True, True)]
 
 
 def test_make_demo_records_the_same_scene_without_a_display(tmp_path):
@@ -66,12 +69,38 @@ def test_a_word_that_is_a_scene_is_never_a_misspelled_command(scene, opened, tmp
     if scene not in built_in_names():
         write_scene(small_scene(), scene)
     orders = [["--no-wet", scene], [scene, "--no-wet"]]
-    orders = orders[: 1 if scene == "street" else 2]  # a first word "street" is the command
-    assert [run(words) for words in orders] == [0] * len(orders)
-    assert opened == [(scene, None, False, False)] * len(orders)
+    assert [run(words) for words in orders] == [0, 0]
+    assert opened == [(scene, None, None, False, False)] * 2
 
 
 @pytest.mark.parametrize(("word", "meant"), [("street:dask", "street:dusk"), ("stret", "street"), ("rendre", "render")])
 def test_a_misspelled_word_names_what_was_meant(word, meant, opened, capsys):
     assert run([word]) == 2
     assert f"gsrain {meant}?" in capsys.readouterr().err and opened == []
+
+
+def test_a_scene_that_is_also_a_command_opens_unless_a_place_follows(opened, tmp_path):
+    assert run(["street"]) == run(["street", "--rain", "5"]) == 0
+    assert opened == [("street", None, None, None, False), ("street", None, 5.0, None, False)]
+    assert run(["street", str(tmp_path / "written"), "--moments", "0"]) == 0 and len(opened) == 2
+    assert (tmp_path / "written" / "scene" / "scene.json").is_file()
+    assert run(["street", "--rain", "500"]) == 2 and len(opened) == 2
+
+
+@pytest.mark.parametrize(
+    ("preset", "rate", "expected"),
+    [
+        (None, None, (7.0, 50.0, 2)),
+        (None, 3.0, (3.0, 50.0, 0)),
+        ("8.5", None, (8.5, None, 0)),
+        ("8.5", 3.0, (3.0, None, 0)),
+    ],
+)
+def test_the_rain_that_is_asked_for_takes_the_place_of_the_saved_one(preset, rate, expected, tmp_path):
+    rain = {"intensity_mm_h": 7.0, "visibility_m": 50.0}
+    weather = {"keys": [{"time_s": 0.0, "intensity_mm_h": 1.0}, {"time_s": 9.0, "intensity_mm_h": 2.0}]}
+    write_scene(replace(small_scene(), rain=rain, weather=weather), tmp_path / "saved")
+    with closing(begin_editor(str(tmp_path / "saved"), load_preset(preset) if preset else None, rate)) as editor:
+        settle(editor)
+        found = editor.document.rain, editor.document.keyframes
+        assert (found[0].intensity_mm_h, found[0].visibility_m, len(found[1].keys)) == expected

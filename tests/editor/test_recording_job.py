@@ -18,6 +18,9 @@ from gsrain_engine.editor.edits.members import set_path
 from gsrain_engine.editor.jobs.job import JobError
 from gsrain_engine.editor.viewport.options import FULL_QUALITY
 from gsrain_engine.rain.settings import RainSettings
+from gsrain_engine.rain.simulation import RainSimulation
+from gsrain_engine.render.cpu.renderer import CpuRenderer
+from gsrain_engine.render.sequence import FrameSequence
 from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.formats.scene_files import write_scene
 from small_scene import small_scene
@@ -122,6 +125,22 @@ def test_a_still_has_the_view_of_the_viewport(editor, tmp_path):
     assert not any("command line" in line.text for line in editor.status.log.lines)
     editor.viewport.options.follow_path = True
     assert editor.render_queue.still_scene().path is editor.document.scene.path
+
+
+def test_a_still_of_a_view_from_above_is_to_scale_and_has_its_marks(editor, tmp_path):
+    editor.render_queue.change(size_px=(96, 64))
+    editor.viewport.look_from_above()
+    camera = editor.viewport.shot(96, 64).camera
+    shown = []
+    for name, marks in (("plain", ()), ("marked", ("grid",))):
+        editor.viewport.options.marks = frozenset(marks)
+        editor.render_queue.record_still_to(tmp_path / name)
+        editor.jobs.newest("export").wait(60)
+        shown.append(np.asarray(Image.open(tmp_path / f"{name}.png")))
+    sequence = FrameSequence(editor.document.scene, RainSimulation.start(editor.document.rain), camera, 96, 64)
+    expected = sequence.image(CpuRenderer(), 0, sequence.sky(CpuRenderer()))
+    assert np.abs(shown[0].astype(int) - expected).mean() < 0.5
+    assert 0.005 < (shown[0] != shown[1]).any(axis=-1).mean() < 0.5
 
 
 def test_a_sheet_has_five_intensities_and_is_that_of_the_command_line(editor, tmp_path):

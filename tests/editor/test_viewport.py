@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gsrain_engine.editor.autosave import restore_view, saved_scene
 from gsrain_engine.editor.background import Background
 from gsrain_engine.editor.clock import PlaybackClock
 from gsrain_engine.editor.document import Document, DocumentState
@@ -258,13 +259,14 @@ def test_at_first_nothing_but_a_selection_is_drawn_over_the_picture_and_no_page_
     assert options.show_selection and not options.show_lamps and not options.follow_path
 
 
-def test_turning_upwards_shows_what_is_above_and_ends_before_the_zenith():
+def test_turning_upwards_shows_what_is_above_and_ends_at_the_zenith():
     navigation = OrbitCamera(heading=0.3, pitch=-0.1)
     navigation.turn(0.0, 0.4)
     assert navigation.pitch == pytest.approx(0.3)
     assert navigation.camera(WIDTH, HEIGHT).camera_to_world[2, 2] == pytest.approx(np.sin(0.3))
     navigation.turn(0.0, 9.0)
-    assert 1.4 < navigation.pitch < np.pi / 2
+    assert navigation.pitch == np.pi / 2
+    assert navigation.camera(WIDTH, HEIGHT).camera_to_world[2, 2] == pytest.approx(1.0)
 
 
 def moved(navigation, motion, frames, step):
@@ -324,3 +326,61 @@ def test_pictures_that_are_warped_may_take_longer_unless_the_camera_stands():
 
     assert settled(True) > 1.5 * settled(False)
     assert settled(True, stands=True) == settled(False, stands=True)
+
+
+def from_above():
+    viewport = viewport_of(small_scene())
+    viewport.look_from_above()
+    return viewport
+
+
+def place_of(viewport, point_m, size=(WIDTH, HEIGHT)):
+    camera = viewport.shot(*size).camera
+    return camera.pixels((camera.world_to_camera[:3, :3] @ point_m + camera.world_to_camera[:3, 3])[None])[0]
+
+
+def test_a_view_from_above_shows_all_of_the_scene_with_y_upwards():
+    viewport = from_above()
+    core, camera = viewport.core, viewport.shot(WIDTH, HEIGHT).camera
+    assert camera.is_orthographic
+    corners = [place_of(viewport, corner) for corner in (core.low, core.high)]
+    assert 0 <= corners[0][0] < corners[1][0] <= WIDTH and 0 <= corners[1][1] < corners[0][1] <= HEIGHT
+    assert max(corners[1][0] - corners[0][0], corners[0][1] - corners[1][1]) > 0.8 * HEIGHT
+
+
+def test_the_wheel_scales_an_orthographic_view_and_a_pivot_keeps_its_scale():
+    viewport = from_above()
+    before, target = viewport.shot(WIDTH, HEIGHT).camera.pixels_per_m, viewport.navigation.target
+    viewport.dolly(3)
+    assert viewport.shot(WIDTH, HEIGHT).camera.pixels_per_m == pytest.approx(before / 0.9**3)
+    assert place_of(viewport, target) == pytest.approx((WIDTH / 2, HEIGHT / 2), abs=1e-3)
+    scale, pose = viewport.shot(WIDTH, HEIGHT).camera.pixels_per_m, place_of(viewport, np.array([10.0, 1, 0]))
+    assert viewport.set_pivot(30, 30, WIDTH, HEIGHT)
+    assert viewport.shot(WIDTH, HEIGHT).camera.pixels_per_m == pytest.approx(scale)
+    assert place_of(viewport, np.array([10.0, 1, 0])) == pytest.approx(pose, abs=1e-2)
+    on_ground = viewport.navigation.pivot
+    assert on_ground is not None and abs(on_ground[2]) < 1 and place_of(viewport, on_ground) == pytest.approx((30, 30))
+    viewport.orbit(0.4, 0.3)
+    assert place_of(viewport, on_ground) == pytest.approx((30, 30), abs=1e-2)
+
+
+def test_an_orthographic_view_flies_across_and_ends_where_the_camera_is_set():
+    viewport = from_above()
+    height_m = viewport.navigation.position[2]
+    viewport.navigation.fly(1, 0, 0, 1.0, across=True)
+    assert viewport.navigation.position[2] == pytest.approx(height_m) and viewport.navigation.velocity_m_s[1] > 1
+    viewport.look_from(
+        Camera.from_fov(WIDTH, HEIGHT, 50.0, look_at(np.zeros(3), np.array([1.0, 0, 0]), np.array([0, 0, 1.0])))
+    )
+    assert not viewport.shot(WIDTH, HEIGHT).camera.is_orthographic
+    viewport.look_from_above()
+    viewport.go_home()
+    assert not viewport.shot(WIDTH, HEIGHT).camera.is_orthographic and viewport.marks == ()
+
+
+def test_an_orthographic_view_is_saved_with_the_scene():
+    viewport, other = from_above(), viewport_of(small_scene())
+    restore_view(other, saved_scene(viewport).view)
+    seen, again = (each.shot(WIDTH, HEIGHT).camera for each in (viewport, other))
+    np.testing.assert_array_equal(again.world_to_camera, seen.world_to_camera)
+    assert again.pixels_per_m == seen.pixels_per_m and again.is_orthographic

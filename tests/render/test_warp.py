@@ -10,7 +10,8 @@ from gsrain_engine.render.cpu.renderer import CpuRenderer
 from gsrain_engine.render.opengl.warp import PictureWarp, can_warp
 from gsrain_engine.render.relief import Relief
 from gsrain_engine.scene.camera import Camera, look_at
-from gsrain_engine.scene.scene import Actor, Layer, PoseTrack, Scene
+from gsrain_engine.scene.orthographic import orthographic
+from gsrain_engine.scene.scene import Actor, Layer, PoseTrack, Scene, core_bounds
 from small_scene import patch
 
 WIDTH, HEIGHT = 192, 128
@@ -69,6 +70,20 @@ def test_a_warped_picture_is_that_of_the_present_camera(context, to):
     assert error(before, now) > 8
     assert error(warped(context, before, relief, to), now) < 0.4 * error(before, now)
     assert error(warped(context, before, relief, relief.camera), before) < 1.0
+
+
+def test_a_warped_view_to_scale_is_that_of_the_present_camera(context):
+    scene = speckled()
+    core = core_bounds(scene.parts())
+
+    def seen(aside_m, turned=0.0):
+        return orthographic(camera_at(-20.0, aside_m, turned), 30.0, core)
+
+    before, relief = drawn(scene, seen(0.0))
+    for to in (seen(0.8), seen(0.0, 0.03)):
+        now, _ = drawn(scene, to)
+        assert can_warp(relief, to, 0.1) and error(before, now) > 8
+        assert error(warped(context, before, relief, to), now) < 0.4 * error(before, now)
 
 
 def test_road_users_are_where_they_are_at_the_time(context):

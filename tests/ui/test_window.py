@@ -61,6 +61,23 @@ def test_navigation_by_mouse_and_keys(driver):
     assert viewport.options.follow_path
 
 
+def test_a_key_shows_the_scene_from_above_to_scale_and_home_leads_back(driver):
+    viewport = driver.editor.viewport
+    driver.ctx.mouse_move("//View/view")
+    driver.press(imgui.Key._7)
+    assert viewport.picture_view.camera.is_orthographic and viewport.marks == ("scale",)
+    scale = viewport.navigation.distance_m
+    driver.ctx.mouse_wheel_y(2)
+    driver.frames()
+    assert viewport.navigation.distance_m < scale
+    driver.panel("Display")
+    driver.click("//Display/Grid")
+    assert viewport.marks == ("grid", "scale")
+    driver.ctx.mouse_move("//View/view")
+    driver.press(imgui.Key.r)
+    assert not viewport.options.orthographic
+
+
 def test_files_open_by_drop_and_bad_ones_are_reported(driver, tmp_path):
     good, bad = tmp_path / "wall.ply", tmp_path / "bad.ply"
     write_scene(small_scene(), good)

@@ -11,6 +11,7 @@ from .shaders import load_program
 _MOTIONS = MAX_MOVERS + 1  # and that of what stands still
 _MAX_TURN = np.cos(np.radians(40.0))  # beyond it, little of the picture is in view
 _MAX_TIME_S = 1.0
+_NEAREST_M = 0.01
 _FINER = 1.5  # ratio of the pixels across a warped picture to those of the picture, which the display enlarges
 _MAX_MOVE = 1.0  # by which the camera may move, in distances of what is before it
 
@@ -53,6 +54,7 @@ class PictureWarp:
         program["size_px"], program["canvas_px"] = (drawn.width, drawn.height), (camera.width, camera.height)
         program["drawn_lens"] = drawn.fx, drawn.fy, drawn.cx, drawn.cy
         program["lens"] = camera.fx, camera.fy, camera.cx, camera.cy
+        program["nearest_m"] = max(_NEAREST_M, 0.5 * camera.plane_m)
         to_camera = np.zeros((_MOTIONS, 4, 4), np.float32)
         moved = camera.world_to_camera @ relief.motions(time_s) @ drawn.camera_to_world
         to_camera[: len(moved)] = moved.transpose(0, 2, 1)  # column-major
