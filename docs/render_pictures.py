@@ -122,6 +122,12 @@ def render_glass(folder: Path) -> None:
     keep(sheet, "glass")
 
 
+def render_plan(folder: Path) -> None:
+    """The street from above, to scale, with all marks."""
+    marks = "grid,scale,boxes,paths"
+    keep(still("street", folder, "1560x400", "--camera", "top", "--marks", marks, "--rain", "8.5"), "plan")
+
+
 def render_scenarios(folder: Path) -> None:
     """The paper's two scenarios, by rows at two moments: front camera and top view."""
     width, height = 500, 441
@@ -165,6 +171,7 @@ def main() -> None:
         render_sheets(Path(folder))
         render_regions(Path(folder))
         render_glass(Path(folder))
+        render_plan(Path(folder))
         render_scenarios(Path(folder))
         render_looks(Path(folder))
 

@@ -11,6 +11,7 @@ import pytest
 
 from appearance.sunny_street import capture_of, street_photo
 from gsrain_engine.appearance.capture_photos import CapturePhotos
+from gsrain_engine.editor.viewport.camera import find_scene_core
 from gsrain_engine.evaluation.lidar.results import rain_runs
 from gsrain_engine.evaluation.lidar.scan import scene_turns
 from gsrain_engine.evaluation.lidar.sensor import SENSORS
@@ -28,6 +29,7 @@ from gsrain_engine.render.sequence import FrameSequence
 from gsrain_engine.render.view import rain_camera
 from gsrain_engine.scene.ground_water import GroundWater
 from gsrain_engine.scene.lamps import Lamp
+from gsrain_engine.scene.orthographic import orientation, scaled_camera
 from gsrain_engine.scene.scene import Layer, Scene
 from small_scene import patch
 from water.test_spray import VIEW, street, track
@@ -78,6 +80,13 @@ def of_scene(rain: RainSettings) -> bytes:
     return draw(CpuRenderer(), frame).read_uint8().tobytes()
 
 
+def of_plan(rain: RainSettings) -> bytes:
+    core = find_scene_core(SCENE)
+    camera = scaled_camera(core, orientation(SCENE, "ortho"), core.middle, (192, 128), 3.0)
+    frame = FrameInput.of(SCENE, RainSimulation.start(rain), SKY, replace(VIEW, camera=camera))
+    return draw(CpuRenderer(), frame).read_uint8().tobytes()
+
+
 def of_photograph(kind: str):
     def drawn(rain: RainSettings) -> bytes:
         world = Scene("world")
@@ -118,6 +127,7 @@ def of_lidar(rain: RainSettings) -> bytes:
 
 SOURCES = {
     "scene": ("scene", of_scene),
+    "orthographic pictures of a scene": ("plan", of_plan),
     "photographs with distances": ("photographs", of_photograph("measured")),
     "photographs without": ("photographs", of_photograph("level road")),
     "sunny photographs of a capture": ("photographs", of_capture),
