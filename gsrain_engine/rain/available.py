@@ -24,9 +24,9 @@ _PICTURES = "lamps", "lamp_gain", "mirror", "splashes", "spray", "glass", "senso
 UNAVAILABLE: dict[Source, dict[str, str]] = {
     "scene": {"keep_light": _PHOTOGRAPHS},
     "plan": dict.fromkeys(
-        ("exposure_s", "seed", "streaks", "haze", "visibility_m", "roofs", "wind_speed_m_s", "wind_from_deg", "gust_m_s",
-         "turbulence_m_s", "calibration", "closure", "diameter_scale", "haze_gain", "streak_gain", "splashes", "spray",
-         "glass", "sensor", *_GLASS_DETAILS), PLAN_SHOWS
+        ("exposure_s", "seed", "streaks", "haze", "visibility_m", "roofs", "wind_speed_m_s", "wind_from_deg",
+         "gust_m_s", "turbulence_m_s", "calibration", "closure", "diameter_scale", "haze_gain", "streak_gain",
+         "splashes", "spray", "glass", "sensor", *_GLASS_DETAILS), PLAN_SHOWS
     ) | {"keep_light": _PHOTOGRAPHS},
     "photographs": dict.fromkeys(
         ("roofs", "lamps", "lamp_gain", "wetness", "mirror", "splashes", "spray"), _SURFACES

@@ -5,7 +5,7 @@ The window draws the same lines over its view.
 
 import math
 from collections.abc import Collection, Iterator
-from itertools import combinations, groupby, product
+from itertools import combinations, product
 from typing import NamedTuple
 
 import cv2
@@ -103,9 +103,8 @@ def draw_marks(
     picture = cv2.addWeighted(picture, _GRID_OPACITY, pixels, 1 - _GRID_OPACITY, 0.0)
     others = [each for each in lines if each.mark != "grid"]
     for rim_px in (2.0, 0.0):
-        for mark, group in groupby(others, key=lambda each: each.mark):
-            for each in group:
-                _draw(picture, each, (0, 0, 0) if rim_px else COLORS[mark], _WIDTHS_PX[mark] + rim_px)
+        for each in others:
+            _draw(picture, each, (0, 0, 0) if rim_px else COLORS[each.mark], _WIDTHS_PX[each.mark] + rim_px)
         if "scale" in marks:
             color = (0, 0, 0) if rim_px else COLORS["scale"]
             place = round(_MARGIN_PX), round(view.camera.height - _MARGIN_PX - 2 * _TICK_PX)
