@@ -41,6 +41,7 @@ from .status import StatusBus, logger
 from .timeline import Playback
 from .training import TrainingController
 from .viewport_state import PendingScene, ViewportState
+from .views import NamedViews
 
 
 class Editor:
@@ -67,6 +68,7 @@ class Editor:
         self.viewport = ViewportState(self.document, self.playback, background)
         self.selection = SelectionTool(self.document, self.playback)
         self.camera_path = CameraPathEditor(self.document, self.viewport, self.playback, self.status)
+        self.views = NamedViews(self.document, self.viewport, self.playback, self.status)
         self.rain_tracks = RainTracks(self.document, self.playback)
         self.captures = CaptureController(self.viewport, self.status, background)
         self.matching = MatchingController(self.viewport, self.captures, background)
@@ -291,6 +293,7 @@ class Editor:
             selection=options.show_selection,
             divider=options.divider,
             screenshot=viewport.screenshot,
+            thumbnail=viewport.thumbnail_requested,
         )
 
     def apply(self, result: DrawResult) -> None:
@@ -320,6 +323,9 @@ class Editor:
             self.live_rain.sky_is_stale = False
         if result.has_screenshot and viewport.screenshot == frame.screenshot:
             viewport.screenshot = None
+        if result.thumbnail is not None and viewport.thumbnail_requested:
+            viewport.thumbnail_requested = False
+            self.views.take_picture(result.thumbnail)
         if result.picked_color is not None and frame.picked is not None and viewport.sky_pick is frame.picked[0]:
             viewport.sky_pick = None
             self.document.change_rain("Pick drop color", drop_color=result.picked_color)

@@ -82,6 +82,8 @@ class ViewportState:
         """True if the next frames continue unfinished work although nothing moves."""
         self.screenshot: Path | None = None
         """Path at which the next image is saved."""
+        self.thumbnail_requested = False
+        """True if the next image goes to the list of named views."""
         self.sky_pick: SkyColorPick | None = None
         """Region of the next image whose color is to become the drop color."""
         self.job_previews: Mapping[Any, Texture] = {}

@@ -19,6 +19,7 @@ from .ground_water import GroundWater
 from .lamps import Lamp, LitLamps, lit_lamps
 from .lens import Lens
 from .lod_tree import LodTree
+from .named_view import NamedView
 from .rolling_shutter import ReadoutDirection, RollingShutter
 
 _ROBUST_SHARE = 0.98  # fraction of the opacity along an axis inside the robust box; captures have strays far outside
@@ -502,7 +503,9 @@ class Scene:
     weather: Mapping[str, Any] | None = None
     """Rain over time, as plain values."""
     view: Mapping[str, Any] | None = None
-    """Camera view saved with the scene, as plain values."""
+    """Camera view of the window saved with the scene, as plain values."""
+    views: tuple[NamedView, ...] = ()
+    """Named views in the order of their list."""
     selections: Mapping[str, Mapping[str, BitMask]] = field(default_factory=dict[str, Mapping[str, BitMask]])
     """Selection sets by name; each by the keys of members."""
     lamps: tuple[Lamp, ...] = ()

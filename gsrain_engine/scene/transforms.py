@@ -138,6 +138,7 @@ def lost_when_flattened(scene: Scene, time_s: float = 0.0) -> list[str]:
         _counted(hidden, "hidden Gaussian"): hidden > 0,
         "wet colors": scene.has_wet_colors,
         _counted(path_keys, "camera key"): path_keys > 0,
+        _counted(len(scene.views), "named view"): bool(scene.views),
         "the rain": scene.rain is not None,
         f"{_counted(keys, 'key')} of the rain over time": keys > 0,
         _counted(cameras, "rig camera"): cameras > 0,

@@ -52,8 +52,8 @@ def test_cameras_of_a_rig_keep_their_lenses_in_a_scene_folder(tmp_path) -> None:
     camera = rig_camera(again, "one", "FRONT", 1.5)
     assert camera.rolling is not None and camera.rolling.direction == "up"
     np.testing.assert_allclose(camera.rolling.shift_m, (0, 0, 0.04), atol=1e-12)  # 2 m/s ahead
-    assert '"version": 8' in (tmp_path / "bent" / "scene.json").read_text()
-    assert '"version": 8' in (tmp_path / "straight" / "scene.json").read_text()
+    assert '"version": 9' in (tmp_path / "bent" / "scene.json").read_text()
+    assert '"version": 9' in (tmp_path / "straight" / "scene.json").read_text()
     assert read_scene_folder(tmp_path / "straight").rigs["one"][0].lens is None
 
 

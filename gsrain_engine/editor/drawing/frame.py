@@ -5,6 +5,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+from jaxtyping import UInt8
+
 from ...choices import RenderMode
 from ...rain.frame import SkyLight
 from ...rain.simulation import RainSimulation
@@ -67,6 +70,8 @@ class RenderInput:
     """Boundary between two panes in a screenshot, as a share of the width."""
     screenshot: Path | None = None
     """Path at which to save the image."""
+    thumbnail: bool = False
+    """True to return the image, reduced or not, for the list of named views."""
 
 
 class DrawnImage(NamedTuple):
@@ -110,6 +115,8 @@ class DrawResult:
     sky_is_exact: bool = False
     """True if the sky was sampled and needs no further sample."""
     picked_color: Color | None = None
+    thumbnail: UInt8[np.ndarray, "h w 3"] | None = None
+    """Image that was requested."""
     has_screenshot: bool = False
     """True if the requested screenshot was saved, or can't be saved."""
     is_pending_ready: bool = False
@@ -125,7 +132,7 @@ class DrawResult:
     @property
     def has_news(self) -> bool:
         """True if anything but the present textures has been drawn, found, or is still to come."""
-        found = (self.drawn, self.sky, self.picked_color)
+        found = (self.drawn, self.sky, self.picked_color, self.thumbnail)
         comes_soon = not (self.is_settled or self.is_preparing)
         is_open = self.is_catching_up or self.has_screenshot or self.is_pending_ready or comes_soon
         return is_open or bool(self.problems) or any(each is not None for each in found)

@@ -10,7 +10,7 @@ from typing import Literal
 
 import moderngl
 import numpy as np
-from jaxtyping import Float32, Float64
+from jaxtyping import Float32, Float64, UInt8
 
 from ...backends import measure_device, rasterizer_for
 from ...choices import RenderMode
@@ -175,6 +175,8 @@ class LiveView:
         if frame.screenshot is not None:
             self._save_screenshot(frame.screenshot, frame.divider, result)
             result.has_screenshot = True
+        if frame.thumbnail and self._can_draw:
+            result.thumbnail = self._displayed_pixels(frame.divider)
         samples = frame.samples_sky and not result.sky_is_exact and not self._sky.is_through
         result.is_catching_up = self._is_uploading or (samples and self._can_draw)
         result.textures, result.reliefs, result.is_settled = self.last_textures, self.last_reliefs, self.is_settled
@@ -407,7 +409,8 @@ class LiveView:
             while not self._upload.go_on(scene, self._upload_until):
                 yield
 
-    def _save_screenshot(self, path: Path, divider: float, result: DrawResult) -> None:
+    def _displayed_pixels(self, divider: float) -> UInt8[np.ndarray, "h w 3"]:
+        """Read back the last image; of two panes both, on their sides of the divider."""
         pictures = [
             np.frombuffer(texture.read(), np.uint8).reshape(texture.height, texture.width, 4)[..., :3]
             for texture in self.last_textures
@@ -417,6 +420,10 @@ class LiveView:
         if len(pictures) == 2:
             at = round(divider * pixels.shape[1])
             pixels[:, :at] = pictures[0][:, :at]
+        return pixels
+
+    def _save_screenshot(self, path: Path, divider: float, result: DrawResult) -> None:
+        pixels = self._displayed_pixels(divider)
         try:
             write_png(path, pixels)
         except OSError as error:

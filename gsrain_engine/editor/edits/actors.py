@@ -161,6 +161,7 @@ def set_origin(scene: Scene, point_m: Float64[np.ndarray, "3"]) -> Scene:
         ego=None if scene.ego is None else scene.ego.moved(shift),
         lamps=moved_lamps(scene.lamps, shift),
         path=None if scene.path is None else scene.path.moved(shift),
+        views=tuple(view.moved(shift) for view in scene.views),
         ground_m=None if scene.ground_m is None else scene.ground_m - float(point_m[2]),
         water=None if scene.water is None else scene.water.moved(*(-point_m).tolist()),
     )

@@ -20,14 +20,15 @@ from ..geometry import normalized
 from ..ground_water import GroundWater
 from ..lamps import Lamp
 from ..lens import Lens
+from ..named_view import NamedView, check_views
 from ..rolling_shutter import ReadoutDirection
 from ..scene import UNCHANGED, Actor, ColorGrading, Layer, PoseTrack, RigCamera, Scene
 
-SCENE_VERSION = 8
+SCENE_VERSION = 9
 """Incremented when a field is added. The default of each field is its meaning in older files, which stay readable.
 
 Version 7 adds lenses and rolling shutters of rig cameras, version 8 the origin and whether the upward direction is
-assumed.
+assumed, version 9 named views.
 """
 
 Row = tuple[float, float, float, float]
@@ -177,6 +178,7 @@ class SceneRecord(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     rain: dict[str, Any] | None = None
     weather: dict[str, Any] | None = None
     view: dict[str, Any] | None = None
+    views: list[NamedView] = []
     selections: dict[str, dict[str, str]] = {}
     in_drawing_order: bool = False
     """True if the Gaussians are in LOD order in the files, so that they need no sorting when opened."""
@@ -214,6 +216,7 @@ def record_of(
         rain=dict(scene.rain) if scene.rain is not None else None,
         weather=dict(scene.weather) if scene.weather is not None else None,
         view=dict(scene.view) if scene.view is not None else None,
+        views=list(scene.views),
         selections=selections_record(scene.selections, {each.key: len(each.gaussians) for each in scene.members}),
         in_drawing_order=in_drawing_order,
     )
@@ -237,6 +240,7 @@ def scene_of(record: SceneRecord, gaussians: list[Gaussians], wet: Sequence[WetC
     counts = {each.key: len(each.gaussians) for each in (*layers, *actors)}
     if not np.isfinite(record.origin).all():
         raise ValueError(f"`$.origin` must be a place, not {list(record.origin)}")
+    check_views(record.views)
     return Scene(
         **_fields(record, _SCENE),
         layers=layers,
@@ -249,6 +253,7 @@ def scene_of(record: SceneRecord, gaussians: list[Gaussians], wet: Sequence[WetC
         rain=record.rain,
         weather=record.weather,
         view=record.view,
+        views=tuple(record.views),
         selections=selections_of(record.selections, counts),
     )
 

@@ -21,6 +21,7 @@ from gsrain_engine.scene.formats.scene_folder import FileCache, write_scene_fold
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.geometry import matrices_from_quaternions, normalized
 from gsrain_engine.scene.lamps import Lamp
+from gsrain_engine.scene.named_view import NamedView
 from gsrain_engine.scene.scene import Actor, ColorGrading, Layer, PoseTrack, RigCamera, Scene
 
 from ..test_camera_path import path_of
@@ -62,6 +63,19 @@ def sample_scene() -> Scene:
         rain={"intensity_mm_h": 8.5, "wind": [1.0, 0.5], "haze": {"count": None}},
         weather={"keys": [{"time_s": 0.0, "intensity_mm_h": 2.0}]},
         view={"time_s": 1.0},
+        views=(
+            NamedView(name="Tür 1", position=(1.0, 2.0, 3.0), quaternion_wxyz=(0.5, -0.5, 0.5, -0.5)),
+            NamedView(
+                name="back",
+                position=(0.1, 0.0, -3.0),
+                quaternion_wxyz=(0.6, 0.0, 0.8, 0.0),
+                vertical_fov_deg=31.5,
+                target=(9.0, 0.0, 0.25),
+                time_s=2.5,
+                rain={"intensity_mm_h": 12.0},
+                picture=b"\xff\xd8small",
+            ),
+        ),
         lamps=(Lamp(name="lantern", position=(1.0, 2.0, 4.0), intensity_m2=30.0, inner_deg=40.0, outer_deg=70.0),),
         selections={"set": {"layers/road & kerb": BitMask.of(np.arange(50) < 9)}},
     )

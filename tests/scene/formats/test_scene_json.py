@@ -43,9 +43,10 @@ def refusal(folder: Path) -> str:
 # Versions
 
 
-@pytest.mark.parametrize("version", [0, 1, 2, 3, 4])
+@pytest.mark.parametrize("version", [0, 1, 2, 3, 4, 8])
 def test_older_versions_lack_fields(version: int, folder: Path) -> None:
     since = {
+        8: (("views",), ()),
         4: (("lamps",), ()),
         3: (("in_drawing_order", "weather"), ()),
         2: ((), ("wet_file",)),
@@ -54,7 +55,7 @@ def test_older_versions_lack_fields(version: int, folder: Path) -> None:
     }
 
     def older(values: Values) -> None:
-        for own, of_members in (since[number] for number in range(version, 5)):
+        for own, of_members in (fields for number, fields in since.items() if number >= version):
             for name in own:
                 del values[name]
             for member in (*values["layers"], *values.get("actors", ())):
@@ -63,7 +64,9 @@ def test_older_versions_lack_fields(version: int, folder: Path) -> None:
         values["version"] = version
 
     edit(folder, older)
-    found, expected = read_scene(folder), replace(sample_scene(), lamps=())
+    found, expected = read_scene(folder), replace(sample_scene(), views=())
+    if version < 8:
+        expected = replace(expected, lamps=())
     if version < 4:
         expected = replace(expected, weather=None)
     if version < 3:
@@ -81,8 +84,8 @@ def test_older_versions_lack_fields(version: int, folder: Path) -> None:
 
 
 def test_a_newer_version_is_neither_read_nor_replaced_but_a_damaged_scene_may_be(folder: Path) -> None:
-    edit(folder, lambda values: values.update(version=9, new_field=True))
-    assert "version 9 is of a newer program" in refusal(folder)
+    edit(folder, lambda values: values.update(version=10, new_field=True))
+    assert "version 10 is of a newer program" in refusal(folder)
     before = bytes_in(folder)
     with pytest.raises(SceneFormatError, match="newer program"):
         write_scene(sample_scene(), folder)
@@ -144,6 +147,15 @@ BAD_VALUES: list[tuple[Callable[[Values], Any], str]] = [
     (put("red", "layers", 0, "marks", "color"), "`$.layers[0].marks`"),
     (put("red", "actors", 0, "track", "color"), "`$.actors[0].track`"),
     (put("red", "path", "keyframes", 0, "color"), "`$.path.keyframes[0]`"),
+    (put("red", "views", 0, "color"), "`$.views[0]`"),
+    (put("back", "views", 0, "name"), "two views named 'back' - at `$.views[1]`"),
+    (put("", "views", 0, "name"), "printable characters, without spaces at its ends - at `$.views[0]`"),
+    (put("a\nb", "views", 1, "name"), "printable characters, without spaces at its ends - at `$.views[1]`"),
+    (put([0, 0, 0, 0], "views", 1, "quaternion_wxyz"), "must have the length 1 - at `$.views[1]`"),
+    (put([0, 0, 1e200], "views", 1, "position"), "must be finite numbers - at `$.views[1]`"),
+    (put(180, "views", 1, "vertical_fov_deg"), "`$.views[1].vertical_fov_deg`"),
+    (put("no base64", "views", 1, "picture"), "`$.views[1].picture`"),
+    (put("A" * 100_000, "views", 1, "picture"), "`$.views[1].picture`"),
     (lambda v: v.pop("version"), "`version`"),
     (put("3", "metres_per_unit"), "Expected a number, got text - at `$.metres_per_unit`"),
     (put([0, 0, 0], "up"), "`$.up`"),
