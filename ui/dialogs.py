@@ -16,13 +16,16 @@ from gsrain_engine.editor.files import Files
 from gsrain_engine.editor.news import News, read_news
 from gsrain_engine.editor.status import Answer, Question, StatusBus
 from gsrain_engine.editor.viewport_state import ViewportState
+from gsrain_engine.editor.views import NamedViews
 
 from .commands.keys import chord_name, chords_of
-from .commands.table import COMMANDS, all_commands
+from .commands.table import COMMANDS, VIEW_KEYS, all_commands, help_of
 from .folding import bring_to_front, panel_windows
+from .panels.views import name_field, view_options
 from .tools import TOOLS
 from .widgets.fields import LOGARITHMIC, button
 from .widgets.file_dialogs import SCENE_FOLDERS, ask_where_to_save
+from .widgets.text import visible_name
 from .widgets.type_ahead import is_menu_open
 
 
@@ -121,6 +124,25 @@ def _group(title: str, rows: list[tuple[str, str]]) -> None:
             imgui.table_next_column()
             imgui.text(effect)
         imgui.end_table()
+
+
+# Name of a view
+
+
+def save_view_page(viewport: ViewportState, views: NamedViews) -> None:
+    """Ask for the name of the present view."""
+    with _page(viewport, "save view", "Save view", ImVec2(24 * imgui.get_font_size(), 0)) as is_open:
+        if not is_open:
+            return
+        if imgui.is_window_appearing():
+            imgui.set_keyboard_focus_here()
+        is_entered = name_field(views, -1)
+        view_options(views)
+        is_saved = button("Save", "Save the present view under this name (Enter).", enabled=views.can_save)
+        imgui.same_line()
+        if button("Cancel", "Save no view (Escape).") or ((is_saved or is_entered) and views.save_typed()):
+            viewport.options.dialog = ""
+            imgui.close_current_popup()
 
 
 # Import of a measured series
@@ -326,11 +348,15 @@ def _rows(editor: Editor) -> list[_PaletteRow]:
     rows = [
         _PaletteRow(each.title(editor), each.key_names, each.help, each.can_run(editor), partial(each.perform, editor))
         for each in all_commands()
+        if each.is_listed(editor)
     ]
     for tool in TOOLS:
         keys = chord_name(int(tool.key)) if tool.key is not None else ""
         choose = partial(setattr, editor.viewport.options, "tool", tool.name)
         rows.append(_PaletteRow(f"Tool: {tool.name}", keys, tool.help, True, choose))
+    for view in editor.views.views[VIEW_KEYS:]:
+        go = partial(editor.views.go_to, view.name)
+        rows.append(_PaletteRow(f"Go to view {visible_name(view.name)}", "", help_of("Go to view 1"), True, go))
     for window in panel_windows():
         show = partial(bring_to_front, window)
         rows.append(_PaletteRow(f"Panel: {window.label.partition('###')[0]}", "", "Bring it to the front.", True, show))

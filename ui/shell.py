@@ -7,9 +7,10 @@ from imgui_bundle import ImVec2, hello_imgui, imgui
 
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.files import Files
+from gsrain_engine.editor.views import NamedViews
 
 from .commands.keys import chord, chords_of, parse_chord
-from .commands.table import COMMANDS, Command, all_command_groups
+from .commands.table import COMMANDS, VIEW_KEYS, Command, all_command_groups
 from .folding import bring_to_front, panel_windows
 from .panels.jobs import job_tray, tray_width
 from .tools import TOOLS
@@ -58,12 +59,17 @@ def draw_menus(editor: Editor) -> None:
         if imgui.get_io().key_alt:
             _underline(title)
         if is_open:
-            groups = [[command for command in group if command.menu == title] for group in all_command_groups()]
+            groups = [
+                [command for command in group if command.menu == title and command.is_listed(editor)]
+                for group in all_command_groups()
+            ]
             for number, group in enumerate(filter(None, groups)):
                 if number:
                     imgui.separator()
                 for command in group:
                     _item(editor, command)
+                if title == "View" and number == 0:
+                    _more_views(editor.views)
                 if title == "File" and number == 0:
                     _recent(editor.files)
             if title == "View":
@@ -108,6 +114,16 @@ def _recent(files: Files) -> None:
             if imgui.menu_item(label(path.name, str(path)), "", False)[0]:
                 files.open(str(path))
             imgui.set_item_tooltip(str(path))
+        imgui.end_menu()
+
+
+def _more_views(views: NamedViews) -> None:
+    """Draw the menu of the views that have no key."""
+    others = views.views[VIEW_KEYS:]
+    if others and imgui.begin_menu("More views"):
+        for view in others:
+            if imgui.menu_item(label(view.name, view.name), "", False)[0]:
+                views.go_to(view.name)
         imgui.end_menu()
 
 

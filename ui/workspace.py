@@ -9,13 +9,13 @@ from imgui_bundle import hello_imgui, imgui
 from gsrain_engine.editor.clock import FrameClock
 from gsrain_engine.editor.drawing.live_view import WindowBackend
 from gsrain_engine.editor.drawing.picture_thread import PictureContext, PictureThread
-from gsrain_engine.editor.drawing.textures import CachedTexture, CaptureTextures, JobPreviews
+from gsrain_engine.editor.drawing.textures import CachedTexture, CaptureTextures, JobPreviews, ViewPictures
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.jobs.make_rainy import PREVIEW_PICTURES
 from gsrain_engine.render.opengl.context import DeviceLostError, is_software
 from gsrain_engine.render.opengl.warp import PictureWarp, can_warp
 
-from .dialogs import CommandPalette, about_page, draw_questions, keyboard_page, news_page, series_page
+from .dialogs import CommandPalette, about_page, draw_questions, keyboard_page, news_page, save_view_page, series_page
 from .folding import FoldedPanels, panel_windows, show_panel
 from .panels.registry import all_panels
 from .parts import bind_parts
@@ -55,6 +55,7 @@ class Workspace:
         self._previews = JobPreviews(context)
         self._wet_preview = {name: CachedTexture(context) for name in PREVIEW_PICTURES}
         self._captures = CaptureTextures(context)
+        self._view_pictures = ViewPictures(context)
         self._frame_preview = CachedTexture(context)
         self._palette = CommandPalette()
         self.folded = FoldedPanels()
@@ -130,6 +131,7 @@ class Workspace:
         wet_look.textures = {name: texture for name, texture in shown.items() if texture is not None}
         editor.render_queue.preview_texture = self._frame_preview.show(editor.render_queue.preview)
         self._captures.update(editor.captures, editor.matching)
+        editor.views.textures = self._view_pictures.update(editor.views.views)
         idling = hello_imgui.get_runner_params().fps_idling
         # Poll workers at intervals: frames would take CPU time from them.
         awaits = editor.awaits_first_picture
@@ -194,6 +196,7 @@ class Workspace:
         keyboard_page(editor.viewport)
         about_page(editor.viewport)
         news_page(editor.viewport)
+        save_view_page(editor.viewport, editor.views)
         series_page(editor)
         draw_questions(editor.viewport, editor.files, editor.status)
 

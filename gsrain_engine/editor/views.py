@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import lru_cache
 from typing import Any
 
 import cv2
@@ -45,12 +44,23 @@ class NamedViews:
         """Name of the view to rename, move and delete; "" for none."""
         self.textures: Mapping[str, Texture] = {}
         """Pictures of the views by name, in the window's OpenGL context."""
+        self.typed = ""
+        """Name typed for the next view; empty for a numbered one."""
+        self.renamed = self.new_name = ""
+        """View that is being renamed, "" for none, and the typed name."""
+        self.is_naming_new = False
+        """True if the field of the new name is to get the keyboard."""
         self._gesture = ""
 
     @property
     def views(self) -> tuple[NamedView, ...]:
         """Views of the document, in their order."""
         return self._document.scene.views
+
+    @property
+    def has_chosen(self) -> bool:
+        """True if a view of the document is chosen."""
+        return any(view.name == self.chosen for view in self.views)
 
     @property
     def unused_name(self) -> str:
@@ -77,6 +87,13 @@ class NamedViews:
         if not self._document.edit(label, save_view, view, gesture=self._gesture):
             return False
         self.chosen, self._viewport.thumbnail_requested = name, True
+        return True
+
+    def save_typed(self) -> bool:
+        """Save the present view under the typed name; return whether it was saved."""
+        if not self.save(self.typed):
+            return False
+        self.typed = ""
         return True
 
     def take_picture(self, pixels: UInt8[np.ndarray, "h w 3"]) -> None:
@@ -112,6 +129,10 @@ class NamedViews:
     def go_to_number(self, number: int) -> None:
         """Go to a view by its place in the list, which counts from 0."""
         self.go_to(self.views[number].name)
+
+    def begin_renaming(self, name: str) -> None:
+        """Let the panel ask for another name of a view."""
+        self.renamed, self.new_name, self.is_naming_new = name, name, True
 
     def rename(self, name: str, other: str) -> None:
         """Rename a view; a name that is in use or not allowed is reported, and nothing changes."""
@@ -196,7 +217,6 @@ def small_picture(pixels: UInt8[np.ndarray, "h w 3"]) -> bytes:
     return jpeg_file(cv2.resize(part, _PICTURE_PX, interpolation=cv2.INTER_AREA), _PICTURE_QUALITY)
 
 
-@lru_cache(maxsize=256)
 def picture_pixels(picture: bytes) -> UInt8[np.ndarray, "h w 3"] | None:
     """Pixels of the small picture of a view; None if it is damaged, or too large for one."""
     try:

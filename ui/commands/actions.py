@@ -9,8 +9,10 @@ from gsrain_engine.editor.files import Files
 from gsrain_engine.editor.rain_tracks import RainTracks
 from gsrain_engine.editor.timeline import Playback
 from gsrain_engine.editor.viewport_state import ViewportState
+from gsrain_engine.editor.views import NamedViews
 from gsrain_engine.scene.formats.registry import scene_suffixes, writable_suffixes
 
+from ..folding import show_panel
 from ..widgets.file_dialogs import SCENE_FOLDERS, ask_what_to_open, ask_where_to_save, exported_kinds
 
 # Preconditions
@@ -80,6 +82,12 @@ def duplicate_member(document: Document, viewport: ViewportState) -> None:
 def loop_path(document: Document, camera_path: CameraPathEditor) -> None:
     if (path := document.scene.path) is not None:
         camera_path.change_path("Closed path off" if path.loop else "Closed path on", loop=not path.loop)
+
+
+def rename_view(views: NamedViews) -> None:
+    """Bring the views to the front, with the keyboard in the name of the chosen one."""
+    show_panel("Views")
+    views.begin_renaming(views.chosen)
 
 
 def copy_keyframe(camera_path: CameraPathEditor, rain_tracks: RainTracks) -> None:

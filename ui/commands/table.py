@@ -46,12 +46,18 @@ class Command:
     """Command of `SHELL_COMMANDS` that does the same."""
     python: str = ""
     """Name in `gsrain` that does the same."""
+    exists: Function | None = None
+    """False leaves it out of menu and palette, such as for a view that there is not."""
 
     def title(self, editor: "Editor") -> str:
         return self.name if self.more is None else f"{self.name} {_bound(self.more, editor)()}".strip()
 
     def can_run(self, editor: "Editor") -> bool:
         return _bound(self.is_possible, editor)()
+
+    def is_listed(self, editor: "Editor") -> bool:
+        """Return whether menu and palette list it now."""
+        return self.exists is None or _bound(self.exists, editor)()
 
     def is_checked(self, editor: "Editor") -> bool:
         """State of a toggle command."""
@@ -216,6 +222,27 @@ def _follow_ego(name: str, mode: str, help_text: str) -> Command:
     return Command(
         name, lambda rollouts: rollouts.follow(mode), "Drive", "", help_text, _plays,
         lambda rollouts, viewport: _plays(rollouts) and viewport.chase.mode == mode,
+    )  # fmt: skip
+
+
+VIEW_KEYS = 9
+"""Named views that have a key: the first ones."""
+
+
+def _go_to_view(number: int) -> Command:
+    """Return the command of a named view, which counts from 1."""
+
+    def is_there(views: Any) -> bool:
+        return len(views.views) >= number
+
+    def name(views: Any) -> str:
+        visible_name = function_at("ui.widgets.text:visible_name")
+        return f"({visible_name(views.views[number - 1].name)})" if is_there(views) else ""
+
+    return Command(
+        f"Go to view {number}", lambda views: views.go_to_number(number - 1), "View", f"Ctrl+{number}",
+        "Look from this named view: its camera, and its time and rain if it has them.", is_there, more=name,
+        exists=is_there, shell="render",
     )  # fmt: skip
 
 
@@ -480,6 +507,18 @@ COMMAND_GROUPS: tuple[tuple[Command, ...], ...] = (
                 "Delete all keyframes; Follow path then uses the scene's own path.", _has_path, edit="set-path"),
     ),
     # View
+    (
+        Command("Save view as...", _set("viewport.options.dialog", "save view"), "View", "Ctrl+Shift+V",
+                "Store the present view, with its time and rain, under a name in the scene's file.",
+                lambda views: views.can_save, edit="save-view"),
+        *map(_go_to_view, range(1, VIEW_KEYS + 1)),
+        Command("Set view to current", lambda views: views.save(views.chosen), "", "",
+                "Set the chosen named view to the present one.", lambda views: views.has_chosen, edit="save-view"),
+        Command("Rename view", "ui.commands.actions:rename_view", "", "F2",
+                "Type another name for the chosen named view.", lambda views: views.has_chosen, edit="rename-view"),
+        Command("Delete view", lambda views: views.remove(views.chosen), "", "",
+                "Delete the chosen named view; undo restores it.", lambda views: views.has_chosen, edit="remove-view"),
+    ),
     (
         Command("Frame selection or scene", _call("viewport.frame_scene"), "View", "F",
                 "Move back until the selection, else the active layer or actor, else the scene is visible."),

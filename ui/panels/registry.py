@@ -23,6 +23,7 @@ from .rain import rain_panel, rain_properties_panel
 from .record import record_panel
 from .select import select_panel
 from .timeline import timeline_panel
+from .views import views_panel
 from .wet_look import wet_look_panel
 
 DockSide = Literal["left", "left bottom", "right", "right bottom", "bottom"]
@@ -47,6 +48,8 @@ class Panel:
 BUILT_IN_PANELS = (
     Panel("Layers", "left", layers_panel, page="selecting_and_editing.md",
           help="Layers and actors: visibility, locks, number of Gaussians."),
+    Panel("Views", "left", views_panel, page="looking_around.md",
+          help="Named views with pictures: save the present one; a click goes to one."),
     Panel("History", "left", history_panel,
           help="Every step; a click goes to it."),
     Panel("Statistics", "left", statistics_panel,

@@ -32,11 +32,13 @@ from ...scene.ground_water import GroundWater
 from ...scene.lamps import Lamp
 from ...scene.lod_order import sort_into_lod_order
 from ...scene.lod_tree import average_below, build_lod_tree, cut_lod_tree
+from ...scene.named_view import NamedView
 from ...scene.scene import DrawItem, Layer, Scene
 from ..capture_view import CaptureController, ImageRequest, PointSample
 from ..jobs.job import Job
 from ..matching import MatchingController
 from ..viewport.options import Texture
+from ..views import picture_pixels
 
 _NEAR_M, _POINT_PX = 0.05, 3.0
 _PER_FRAME = 4  # maximum number of images uploaded
@@ -158,6 +160,25 @@ class JobPreviews:
             if job.progress.preview is not None:
                 self._cached.setdefault(job, CachedTexture(self._context)).show(job.progress.preview)
         return {job: texture for job, each in self._cached.items() if (texture := each.texture) is not None}
+
+
+class ViewPictures:
+    """One texture for each named view that has a picture."""
+
+    def __init__(self, context: moderngl.Context) -> None:
+        self._context = context
+        self._cached: dict[bytes, CachedTexture] = {}
+
+    def update(self, views: Iterable[NamedView]) -> dict[str, Texture]:
+        """Upload new pictures, some in each frame, and return all by the names of their views. Once a frame."""
+        pictures = {view.name: view.picture for view in views if view.picture is not None}
+        for gone in self._cached.keys() - set(pictures.values()):
+            self._cached.pop(gone).show(None)
+        for picture in [each for each in set(pictures.values()) if each not in self._cached][:_PER_FRAME]:
+            self._cached[picture] = CachedTexture(self._context)
+            self._cached[picture].show(picture_pixels(picture))
+        cached = {name: self._cached[each].texture for name, each in pictures.items() if each in self._cached}
+        return {name: texture for name, texture in cached.items() if texture is not None}
 
 
 class CpuTexture:
