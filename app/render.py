@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
+from msgspec import structs
 
 from gsrain_engine.choices import FOUND_LAMPS, Backend, LabelFormat, RenderMode
 from gsrain_engine.fields import option_names
@@ -45,6 +46,7 @@ if TYPE_CHECKING:
     from gsrain_engine.render.sequence import FrameSequence
     from gsrain_engine.scene.camera import Camera
     from gsrain_engine.scene.camera_path import CameraPath
+    from gsrain_engine.scene.named_view import NamedView
     from gsrain_engine.scene.progress import Progress
     from gsrain_engine.scene.scene import Scene
 
@@ -89,6 +91,16 @@ _CAMERA_HELP = (
 CameraOption = Annotated[str | None, option(_CAMERA_HELP, topic="Camera and time", allow_leading_hyphen=True)]
 
 
+ViewOption = Annotated[
+    str | None,
+    option(
+        "Named view of the scene: its camera, and its time and rain unless options set these (gsrain info lists them).",
+        topic="Camera and time",
+        rare=True,
+    ),
+]
+
+
 @takes_set
 def render(
     scene: Annotated[str | None, option("Scene file or folder; default: the built-in street.")] = None,
@@ -113,6 +125,7 @@ def render(
         Path | None,
         option("Camera path: ours, nerfstudio's, 3DGS's cameras.json, a .glb or .gltf.", topic="Camera and time"),
     ] = None,
+    view: ViewOption = None,
     rain_keyframes: Annotated[
         Path | None,
         option(
@@ -180,12 +193,15 @@ def render(
     given = _option_values(recording) | _option_values(rain_options) | {
         "--camera": camera, "--camera-path": camera_path, "--depth": depth or None, "--duration": duration,
         "--frame": frame, "--labels": labels, "--mode": None if mode == "splats" else mode,
-        "--preset": rain_options.preset, "--rain-keyframes": rain_keyframes,
+        "--preset": rain_options.preset, "--rain-keyframes": rain_keyframes, "--view": view,
     }  # fmt: skip
     _check_used({name: value for name, value in given.items() if value is not None}, export, sheet)
     intensities = None if sheet is None else _sheet_intensities(sheet, export)
     check_writable(json)
-    opened = (orientation or Orientation()).of(load_sorted_scene(scene))
+    opened, chosen = at_view((orientation or Orientation()).of(load_sorted_scene(scene)), view)
+    if chosen is not None and chosen.time_s is not None and "first_s" not in recording.changes():
+        export = structs.replace(export, first_s=chosen.time_s)
+        export.check()
     if labels is not None and not scene_objects(opened):
         raise ValueError(f"--labels {labels}: scene {opened.name!r} has no actors that labels could be about")
     settings = rain_options.for_scene(opened, "plan" if is_plan(camera) else "scene")
@@ -196,13 +212,14 @@ def render(
     load_calibration(settings.calibration)  # before colors are computed for a rain that can't be made
     opened, settings = rainy_light(opened, settings, wet, heaviest)
     simulation = RainSimulation.start(settings, weather=weather)
-    is_own_path = camera is None and camera_path is None and opened.path is not None
-    if camera is not None and camera_path is None and is_plan(camera):
+    is_own_path = camera is None and camera_path is None and view is None and opened.path is not None
+    if camera is not None and camera_path is None and view is None and is_plan(camera):
         viewpoint = plan_camera(opened, camera, export, pixels_per_meter)
     else:
-        viewpoint = viewpoint_of(opened, camera, camera_path, export)
+        viewpoint = viewpoint_of(opened, camera, camera_path, export, chosen)
     if frame is not None and export.is_still and isinstance(viewpoint, Camera) and not export.cameras:
-        place = "--camera" if camera is not None else f"scene {opened.name!r}, which has no path or drive,"
+        place = "--camera" if camera is not None else "--view" if view is not None else ""
+        place = place or f"scene {opened.name!r}, which has no path or drive,"
         raise ValueError(f"--frame {frame}: a still from {place} has no other frame; --time sets its moment")
     timing = _timing(opened, viewpoint, camera_path, export, speed)
     viewpoint = viewpoint if timing is None else timing.path
@@ -342,7 +359,7 @@ def _check_used(given: Mapping[str, Any], export: ExportSettings, sheet: str | N
     """Raise `ValueError` for a given option that has no effect on this output; `given` are values by option."""
     without: dict[str, str] = {}
     if "--cameras" in given:
-        without |= dict.fromkeys(("--camera", "--camera-path"), "the views are those of --cameras")
+        without |= dict.fromkeys(("--camera", "--camera-path", "--view"), "the views are those of --cameras")
     if "--mode" in given:  # which --rain 0 agrees with
         rain = [name for name in _RAIN if given.get(name) != 0]
         without |= dict.fromkeys(rain, f"--mode {given['--mode']} shows the scene without rain")
@@ -492,8 +509,26 @@ def _check_outputs(
     check_writable(json, *(path for path in written if path not in folders), folders=dict.fromkeys(folders))
 
 
+def at_view(scene: "Scene", name: str | None) -> "tuple[Scene, NamedView | None]":
+    """Return the view of `--view`, and the scene with its rain; raises `ValueError` if the scene has no such view."""
+    from gsrain_engine.editor.views import scene_at_view
+    from gsrain_engine.scene.named_view import view_named
+
+    if name is None:
+        return scene, None
+    try:
+        view = view_named(scene.views, name, scene.name)
+        return scene_at_view(scene, view), view
+    except ValueError as error:
+        raise ValueError(f"--{error}") from None
+
+
 def viewpoint_of(
-    scene: "Scene", camera: str | None, camera_path: Path | None, export: ExportSettings
+    scene: "Scene",
+    camera: str | None,
+    camera_path: Path | None,
+    export: ExportSettings,
+    view: "NamedView | None" = None,
 ) -> "Camera | CameraPath":
     """Return the camera or path of the options, in the world; else the scene's path, the ego's drive, or an orbit.
 
@@ -507,9 +542,12 @@ def viewpoint_of(
     from gsrain_engine.scene.camera_path_io import read_camera_path
     from gsrain_engine.scene.formats.gltf import GLTF
 
-    if camera is not None and camera_path is not None:
-        raise ValueError("--camera and --camera-path exclude each other")
+    options = {"--view": view, "--camera": camera, "--camera-path": camera_path}
+    if len(given := [name for name, value in options.items() if value is not None]) > 1:
+        raise ValueError(f"{given[0]} and {given[1]} exclude each other")
     width, height = export.size_px or DEFAULT_SIZE_PX
+    if view is not None:
+        return view.camera(width, height).moved(scene.scene_to_world)
     if camera is not None and (places := _eye_and_target(camera)) is not None:
         eye, target, up = *places, np.array([0.0, 0.0, 1.0])
         return Camera.from_fov(width, height, FOV_DEG, look_at(eye, target, up))

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from gsrain_engine.datasets.summary import CaptureSummary
     from gsrain_engine.report.table import Cell
     from gsrain_engine.scene.camera_path import CameraPath
+    from gsrain_engine.scene.named_view import NamedView
     from gsrain_engine.scene.scene import Actor, Layer, Scene
 
 
@@ -91,6 +92,9 @@ def _scene_info(scene: str) -> dict[str, Any]:
         "up_is_assumed": opened.up_is_assumed,
         "origin": list(opened.origin),
         "rigs": {name: [camera.name for camera in cameras] for name, cameras in opened.rigs.items()},
+        "named_views": [
+            {"name": view.name, "time_s": view.time_s, "intensity_mm_h": view.intensity_mm_h} for view in opened.views
+        ],
         "members": rows,
         **_extent(opened),
     }
@@ -158,6 +162,8 @@ def _print(scene: "Scene", numbers: dict[str, Any]) -> None:
         )
     for name, cameras in numbers["rigs"].items():
         console.print(f"rig {name}: {', '.join(cameras)}")
+    if scene.views:
+        console.print(f"views: {', '.join(map(_described, scene.views))}")
     titled = columns({"name": "", "kind": "", "Gaussians": ",", "SH degree": "", "wet": "", "minimum": "",
                       "maximum": "", "MiB": ".1f"})  # fmt: skip
     rows: list[tuple[Cell, ...]] = []
@@ -166,6 +172,10 @@ def _print(scene: "Scene", numbers: dict[str, Any]) -> None:
         about = row["name"], row["kind"], row["gaussians"], row["sh_degree"], bool(row["wet_colors"])
         rows.append((*about, *corners, row["memory_bytes"] / 2**20))
     print_lines(Table("Members", titled, rows).text)
+
+
+def _described(view: "NamedView") -> str:
+    return view.name + (f" ({view.contents})" if view.contents else "")
 
 
 def count_flagged(members: "Sequence[Layer | Actor]") -> dict[str, int]:

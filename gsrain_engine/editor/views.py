@@ -16,7 +16,6 @@ from ..rain.keyframes import saved_rain
 from ..rain.settings import RainSettings
 from ..render.images import jpeg_file
 from ..safe_io.errors import convert_checked
-from ..scene.camera import Camera
 from ..scene.named_view import MAX_VIEWS, NamedView, view_named
 from ..scene.scene import Scene
 from .document import Document
@@ -192,11 +191,6 @@ def scene_at_view(scene: Scene, view: NamedView) -> Scene:
     Raises `ValueError`, which names view and field, if the values of that rain are invalid.
     """
     return scene if view.rain is None else replace(scene, rain=_plain(rain_of_view(scene, view)))
-
-
-def camera_of_view(scene: Scene, view: NamedView, width: int, height: int) -> Camera:
-    """Camera of a view in the world, for an image size in pixels."""
-    return view.camera(width, height).moved(scene.scene_to_world)
 
 
 def _plain(rain: RainSettings) -> dict[str, Any]:

@@ -60,6 +60,19 @@ class NamedView(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True,
         fov_deg = float(camera.vertical_fov_deg)
         return cls(name=name, position=(x, y, z), quaternion_wxyz=(a, b, c, d), vertical_fov_deg=fov_deg, **fields)
 
+    @property
+    def intensity_mm_h(self) -> float | None:
+        """Rainfall intensity; None for a view without rain."""
+        rate = None if self.rain is None else self.rain.get("intensity_mm_h", 0.0)
+        return float(rate) if isinstance(rate, int | float) else None
+
+    @property
+    def contents(self) -> str:
+        """Describe what the view holds besides the camera, such as "2.5 s, 8.5 mm/h"."""
+        rate = self.intensity_mm_h
+        time = [f"{self.time_s:.4g} s"] if self.time_s is not None else []
+        return ", ".join([*time, f"{rate:g} mm/h"] if rate is not None else time)
+
     def camera(self, width: int, height: int) -> Camera:
         """Camera of an image size in pixels, in units and axes of the scene."""
         pose = np.eye(4)

@@ -76,18 +76,11 @@ def _row(views: NamedViews, number: int, view: NamedView) -> None:
     else:
         draw.add_text(ImVec2(left, corner.y + 0.4 * em), imgui.get_color_u32(imgui.Col_.text), visible_name(view.name))
         ink = imgui.get_color_u32(imgui.Col_.text_disabled)
-        draw.add_text(ImVec2(left, corner.y + 1.6 * em), ink, _contents(view))
+        draw.add_text(ImVec2(left, corner.y + 1.6 * em), ink, view.contents)
     if is_double:
         views.begin_renaming(view.name)
     elif clicked:
         views.go_to(view.name)
-
-
-def _contents(view: NamedView) -> str:
-    """Describe what a view holds besides the camera, such as "2.5 s, 8.5 mm/h"."""
-    rate = None if view.rain is None else view.rain.get("intensity_mm_h", 0.0)
-    words = [f"{view.time_s:.1f} s"] if view.time_s is not None else []
-    return ", ".join([*words, f"{rate:g} mm/h"] if isinstance(rate, int | float) else words)
 
 
 def _rename(views: NamedViews, name: str) -> None:
