@@ -523,6 +523,13 @@ def at_view(scene: "Scene", name: str | None) -> "tuple[Scene, NamedView | None]
         raise ValueError(f"--{error}") from None
 
 
+def check_one_camera(view: object, camera: str | None, camera_path: Path | None) -> None:
+    """Raise `ValueError` if more than one option sets the camera."""
+    options = {"--view": view, "--camera": camera, "--camera-path": camera_path}
+    if len(given := [name for name, value in options.items() if value is not None]) > 1:
+        raise ValueError(f"{given[0]} and {given[1]} exclude each other")
+
+
 def viewpoint_of(
     scene: "Scene",
     camera: str | None,
@@ -542,9 +549,7 @@ def viewpoint_of(
     from gsrain_engine.scene.camera_path_io import read_camera_path
     from gsrain_engine.scene.formats.gltf import GLTF
 
-    options = {"--view": view, "--camera": camera, "--camera-path": camera_path}
-    if len(given := [name for name, value in options.items() if value is not None]) > 1:
-        raise ValueError(f"{given[0]} and {given[1]} exclude each other")
+    check_one_camera(view, camera, camera_path)
     width, height = export.size_px or DEFAULT_SIZE_PX
     if view is not None:
         return view.camera(width, height).moved(scene.scene_to_world)

@@ -32,7 +32,7 @@ from gsrain_engine.evaluation.lidar.session import evaluate_lidar as lidar_sessi
 from gsrain_engine.evaluation.lidar.session import open_sensor
 from gsrain_engine.evaluation.lidar.settings import LidarSettings
 from gsrain_engine.optional_packages import require_package
-from gsrain_engine.publish.page import publish_page
+from gsrain_engine.publish.page import opening_view, publish_page
 from gsrain_engine.publish.rain_gaussians import export_rain_gaussians
 from gsrain_engine.rain.available import Source, check_available
 from gsrain_engine.rain.settings import RainSettings as RainSettings
@@ -143,6 +143,7 @@ def publish(
     *,
     start: float = 0.0,
     seconds: float | None = None,
+    view: str | None = None,
     progress: Report | None = None,
 ) -> RunResult[Path]:
     """Write one web page with a scene, a path and its rain under a slider of intensities; `made` is its path.
@@ -154,21 +155,23 @@ def publish(
         path: Camera path, or a camera, in the world; None is the path that the scene is shown along.
         start: Moment of scene and rain at the start of the path in seconds.
         seconds: Length of the path; None is all of it.
+        view: Named view of the scene at which the page opens; None is the first one, or the path where one is given.
         progress: As in `export_rain`.
 
     Raises:
-        ValueError: For a name of another kind, and for a rain that a page can't draw.
+        ValueError: For a name of another kind, for a rain that a page can't draw, and for a view that there is not.
         OSError: When the page can't be written.
     """
     target = Path(output)
     if target.suffix.lower() not in (".html", ".htm"):
         raise ValueError(f"output {target}: expected the name of a web page (.html)")
     settings, film = _checked_rain(rain, "page"), ExportSettings(output="page.mp4", first_s=start)
+    opening = opening_view(scene, view, has_path=path is not None)
     viewpoint = path or default_path(scene, *DEFAULT_SIZE_PX)
     is_own = path is None and scene.path is not None
     sequence = export_sequences(film, scene, RainSimulation.start(settings), viewpoint, in_scene_time=is_own)[""]
     with open_renderer("cpu") as renderer:
-        return run_to_end(publish_page(renderer, scene, settings, sequence, "Path", target, seconds), progress)
+        return run_to_end(publish_page(renderer, scene, settings, sequence, "Path", target, seconds, opening), progress)
 
 
 # Evaluations

@@ -1,9 +1,9 @@
 "use strict";
 // Controls of the page. Its state is a part of its address, after #: mm (intensity), t (a pause at a time), split (place of the
-// divider, 0: none), camera=x,y,z,w,x,y,z,fov (a free one); `size=WxH` fixes the size, `still=1` waits for a script.
+// divider, 0: none), camera=x,y,z,w,x,y,z,fov (a free one), view (a named view, or none: the path); `size=WxH` fixes the size, `still=1` waits for a script.
 
 const duration = settings.pathStep * (settings.path.length - 1), LAST_STEP = settings.states.length - 1;
-const state = {time: 0, step: settings.chosen, split: 0.5, playing: false, free: null, size: null};
+const state = {time: 0, step: settings.chosen, split: 0.5, playing: false, free: null, view: null, size: null};
 const keys = new Set(), SLIDER_KEYS = /^(Arrow|Home|End|Page)/;
 const SLOW_MS = 60, COARSEST = 0.5;  // of a picture while it moves; share of the screen's pixels along a side
 
@@ -34,9 +34,16 @@ function viewOf({mm, t, split, camera, size}) {
   return view;
 }
 
+// A named view by its number: its camera, and its time and intensity if it has them.
+function named(number) {
+  const {camera, t, mm, floor} = settings.views[number], view = viewOf({camera, t, mm});
+  return {...view, free: {...view.free, floor}, view: number};
+}
+
 function textOf({time, step, split, free, playing}) {
   const parts = [`mm=${settings.states[step].intensity}`, `split=${(split ?? 0).toFixed(2)}`];
   if (!playing) parts.push(`t=${time.toFixed(2)}`);
+  if (!free && settings.view !== null) parts.push("view=");
   if (free) parts.push(`camera=${[...free.position, ...quaternionOf(free.axes), free.fov].map(each => Number(each.toFixed(4))).join(",")}`);
   return `#${parts.join("&")}`;
 }
@@ -60,7 +67,13 @@ function follow() {  // the address; without a time it plays
   const asked = Object.fromEntries(new URLSearchParams(location.hash.slice(1)));
   const moves = duration > 0 || settings.states.some(each => each.density > 0);
   const playing = asked.t === undefined && moves && !matchMedia("(prefers-reduced-motion: reduce)").matches;
-  Object.assign(state, {free: null}, viewOf(asked), {playing});
+  Object.assign(state, {free: null, view: null}, viewOf(asked), {playing});
+  const byName = settings.views.findIndex(view => view.name === asked.view);
+  const number = asked.view === undefined && !state.free && asked.t === undefined ? settings.view : byName;
+  if (number !== null && number >= 0) {  // a page opens with its own intensity
+    const {step = state.step, ...view} = named(number), keeps = asked.view === undefined || asked.mm !== undefined;
+    Object.assign(state, view, keeps ? {} : {step});
+  }
   show();
 }
 
@@ -85,6 +98,7 @@ function show() {
   element("play").setAttribute("aria-pressed", state.playing);
   element("compare").setAttribute("aria-pressed", state.split !== null);
   element("home").hidden = !state.free;
+  if (settings.views.length) element("views").value = state.view ?? "";
   const divider = element("divider");
   divider.hidden = state.split === null;
   divider.style.left = `${100 * (state.split ?? 0)}%`;
@@ -111,7 +125,7 @@ function failed(error) {
 
 const actions = {
   play() { state.playing = !state.playing; },
-  home() { state.free = null; },
+  home() { Object.assign(state, {free: null, view: null}); },
   compare() { state.split = state.split === null ? 0.5 : null; },
   more() { state.step = Math.min(state.step + 1, LAST_STEP); },
   less() { state.step = Math.max(state.step - 1, 0); },
@@ -133,8 +147,15 @@ function act(name) {
 
 function freed() {
   state.free ??= {...pathCamera(state.time), velocity: [0, 0, 0]};
+  if (state.view !== null) { state.view = null; show(); }
   remember();
   return state.free;
+}
+
+function goTo(number) {
+  Object.assign(state, named(number));
+  show();
+  remember();
 }
 
 function look(dx, dy) {
@@ -198,9 +219,11 @@ function wirePointers() {
 function wire() {
   wirePointers();
   addEventListener("keydown", event => {
+    if (event.target instanceof HTMLSelectElement) return;
     const isSlider = event.target instanceof HTMLInputElement || event.target === element("divider");
     if (element("about").open || event.ctrlKey || event.metaKey || event.altKey || (isSlider && SLIDER_KEYS.test(event.code))) return;
     if (event.target instanceof HTMLButtonElement && event.code === "Space") return;  // presses it
+    if (/^[1-9]$/.test(event.key) && settings.views[event.key - 1]) { goTo(event.key - 1); return; }
     const action = ACTION_OF_KEY[event.key.toLowerCase()];
     if (!action) keys.add(event.code);
     else if (!event.repeat || action === "more" || action === "less") act(action);
@@ -220,7 +243,8 @@ function wire() {
     tick.style.setProperty("--place", k / LAST_STEP);
   });
   Object.assign(element("intensity"), {max: LAST_STEP, oninput: event => { state.step = Number(event.target.value); show(); remember(); }});
-  element("time").oninput = event => { Object.assign(state, {time: event.target.value / 1000 * duration, free: null}); show(); remember(); };
+  element("time").oninput = event => { Object.assign(state, {time: event.target.value / 1000 * duration, free: null, view: null}); show(); remember(); };
+  if (settings.views.length) element("views").onchange = event => { event.target.value === "" ? act("home") : goTo(Number(event.target.value)); canvas.focus(); };
   element("path").hidden = !duration;
   element("about").onclick = event => { if (event.target === event.currentTarget) event.currentTarget.close(); };  // outside of the dialog
   canvas.addEventListener("webglcontextlost", () => failed(new Error("the graphics card has stopped; reload the page")));

@@ -12,7 +12,7 @@ import io
 import json
 import re
 import zipfile
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
@@ -37,7 +37,9 @@ from ..report.numbers import write_provenance
 from ..report.result import RunResult
 from ..report.table import Table, columns
 from ..safe_io.files import whole_file
+from ..scene.camera import Camera
 from ..scene.geometry import quaternions_from_matrices
+from ..scene.named_view import NamedView, view_named
 from ..scene.progress import Progress
 from ..scene.scene import Scene
 from ..scene.transforms import world_to_file
@@ -49,6 +51,8 @@ from .rain_states import STEPS_MM_H, RainStates, check_rain, rain_states
 LONGEST_S = 600.0
 """Longest path on a page."""
 
+_AROUND_PATH_M = 100.0
+_VIEW_SIZE = (960, 640)  # of a named view, of which only pose and field of view are on the page
 _STEP_S = 1 / 30  # between the cameras of the path
 _COLUMNS = {"SPLAT_COLUMNS": COLUMNS, "STREAK_COLUMNS": 512}  # of the data textures
 _SHADERS = (
@@ -72,6 +76,8 @@ _KEYS = (
     ("F, L", "full screen; copy a link to this view"),
 )
 
+_VIEW_KEYS = "1 to 9", "go to a named view"
+
 _ABOUT = (
     "A scene of Gaussians in calibrated rain, drawn by your graphics card: with the drop sizes, speeds and numbers of "
     "each rainfall intensity, and the drops of the program. Drag the divider to compare, the slider for more rain."
@@ -88,6 +94,12 @@ class PageContents:
     rain: RainStates
     views: Sequence[RenderView]
     """Cameras of the path, `_STEP_S` apart."""
+    first_view: RenderView
+    """View that the page opens with."""
+    named_views: Sequence[Mapping[str, Any]]
+    """Named views of the scene, as the page reads them: name, camera, time on the path, intensity, ground below."""
+    opening: int | None
+    """Number of the named view at which the page opens; None opens on the path."""
     floors_m: Sequence[float | None]
     """Heights of the ground below them, where they are known."""
     ground: PageGround | None = None
@@ -106,11 +118,12 @@ def write_page(
     path_name: str,
     output: Path,
     duration_s: float | None = None,
+    opening: NamedView | None = None,
 ) -> Generator[Progress, None, PageContents]:
     """Write a scene, as it is at the sequence's start, with its rain and the sequence's path to an HTML file.
 
-    `duration_s` shortens the path. Raises `ValueError` for a rain that a page can't draw, or a path longer than
-    `LONGEST_S`.
+    `duration_s` shortens the path; `opening` is the named view of the scene at which the page opens. Raises
+    `ValueError` for a rain that a page can't draw, or a path longer than `LONGEST_S`.
     """
     check_rain(rain)
     length_s = min(sequence.length_s or 0.0, duration_s or np.inf)
@@ -124,11 +137,14 @@ def write_page(
     yield Progress(0.9, "Writing the page")
     views = [sequence.shot_at(time_s + step * _STEP_S) for step in range(round(length_s / _STEP_S) + 1)]
     exposure_s = sequence.rainfall.exposure_s(views[0].camera)
-    cameras = [view.camera for view in views]
+    named = [_named_view(scene, sequence, view, length_s) for view in scene.views]
+    number = None if opening is None else scene.views.index(opening)
+    cameras = _near_path([view.camera for view in views], [view.camera for view, _ in named])
     states = rain_states(rain, scene, {False: sky.at(0.0), True: sky.at(1.0)}, cameras, exposure_s)
     floors = [rain_camera(scene, sequence.rainfall, view).floor_m for view in views]
     contents = PageContents(
-        scene.name, path_name, content, states, views, floors, page_ground(scene, cameras),
+        scene.name, path_name, content, states, views, views[0] if number is None else named[number][0],
+        [row for _, row in named], number, floors, page_ground(scene, cameras),
         page_mirror(scene, states.states), time_s, left_out_of_page(scene),
     )  # fmt: skip
     with whole_file(output) as written:
@@ -144,20 +160,21 @@ def publish_page(
     path_name: str,
     output: Path,
     duration_s: float | None = None,
+    opening: NamedView | None = None,
 ) -> Generator[Progress, None, RunResult[Path]]:
     """Write a page as `write_page` does, and return its numbers; the figure is its first view."""
-    contents = yield from write_page(renderer, scene, rain, sequence, path_name, output, duration_s)
+    contents = yield from write_page(renderer, scene, rain, sequence, path_name, output, duration_s, opening)
     page_bytes, rates = output.stat().st_size, [state["intensity"] for state in contents.rain.states]
     numbers: dict[str, Any] = {
         "bytes": page_bytes, "sog_bytes": len(contents.scene.sog), "cameras": len(contents.views),
-        "intensities_mm_h": rates,
+        "intensities_mm_h": rates, "named_views": [view["name"] for view in contents.named_views],
     }  # fmt: skip
     length = f"{sequence.length_s or 0.0:.3g} s of path" if len(contents.views) > 1 else "one place"
     lines = (
         f"{output}: {page_bytes / 1e6:.1f} MB, {length}, {len(rates)} intensities",
         f"not on the page: {', '.join(contents.missing)}",
     )
-    first = contents.views[0]
+    first = contents.first_view
     shown = sequence.frame_input(first, sequence.sky(renderer))
     numbers |= write_provenance(output, {"first view": provenance_of(shown)})
 
@@ -168,6 +185,16 @@ def publish_page(
     rows = [("bytes", page_bytes), ("bytes of the scene", len(contents.scene.sog)), ("cameras", len(contents.views))]
     table = Table(f"Page of {scene.name}", columns({"number of": "", "value": ","}), rows)
     return RunResult(made=output, table=table, numbers=numbers, lines=lines, draw=draw)
+
+
+def opening_view(scene: Scene, name: str | None, *, has_path: bool) -> NamedView | None:
+    """Named view at which a page opens: the one of a name, else the first one unless a path is chosen.
+
+    None opens on the path. Raises `ValueError` if the scene has no view of the name.
+    """
+    if name is not None:
+        return view_named(scene.views, name, scene.name)
+    return None if has_path or not scene.views else scene.views[0]
 
 
 def left_out_of_page(scene: Scene) -> list[str]:
@@ -187,7 +214,8 @@ def page_html(contents: PageContents) -> str:
     scripts = ((Path(__file__).parent / name).read_text(encoding="utf-8") for name in ("rain.js", "splashes.js"))
     texts["rain-script"] = "\n".join(scripts)
     page = environment.get_template("page.html").render(
-        title=contents.title, path_name=contents.path_name, about=_ABOUT, keys=_KEYS,
+        title=contents.title, path_name=contents.path_name, about=_ABOUT,
+        keys=(*_KEYS, _VIEW_KEYS) if contents.named_views else _KEYS, views=contents.named_views,
         missing=", ".join(contents.missing), version=metadata.version("gsrain"), settings=_script(_settings(contents)),
         texts=[(name, Markup(text)) for name, text in texts.items()], data=Markup(base85(_archive(contents))),
         policy=_POLICY,
@@ -257,7 +285,33 @@ def _settings(contents: PageContents) -> dict[str, Any]:
         "pathStep": _STEP_S,
         "path": [_row(view) for view in contents.views],
         "floors": contents.floors_m,
+        "views": contents.named_views,
+        "view": contents.opening,
     }
+
+
+def _near_path(path: Sequence[Camera], others: Sequence[Camera]) -> list[Camera]:
+    """Cameras of a path, and those of the others that are near enough to it to have ground and roofs on the page."""
+    places = np.array([camera.position for camera in path])
+    low, high = places.min(axis=0) - _AROUND_PATH_M, places.max(axis=0) + _AROUND_PATH_M
+    return [*path, *(each for each in others if ((low < each.position) & (each.position < high)).all())]
+
+
+def _named_view(
+    scene: Scene, sequence: FrameSequence, view: NamedView, length_s: float
+) -> tuple[RenderView, dict[str, Any]]:
+    """A named view on a page whose path takes `length_s`, and its values there."""
+    time_s = sequence.start_s if view.time_s is None else view.time_s
+    time_s = min(max(time_s, sequence.start_s), sequence.start_s + length_s)
+    drawn = RenderView(view.camera(*_VIEW_SIZE).moved(scene.scene_to_world), time_s)
+    row: dict[str, Any] = {
+        "name": view.name, "camera": _row(drawn)[:8], "floor": rain_camera(scene, sequence.rainfall, drawn).floor_m,
+    }  # fmt: skip
+    if view.time_s is not None:
+        row["t"] = time_s - sequence.start_s
+    if view.intensity_mm_h is not None:
+        row["mm"] = view.intensity_mm_h
+    return drawn, row
 
 
 def _row(view: RenderView) -> list[float]:

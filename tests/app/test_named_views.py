@@ -95,3 +95,26 @@ def test_info_lists_the_views(scene, tmp_path, capsys):
         {"name": "Gate", "time_s": 1.5, "intensity_mm_h": 30.0},
         {"name": "Bare wall", "time_s": None, "intensity_mm_h": None},
     ]
+
+
+@pytest.mark.parametrize(
+    ("options", "opening", "intensity"),
+    [
+        ((), 0, 30.0),  # the first view
+        (("--view", "Bare wall"), 1, 4.0),
+        (("--view", "Gate", "--rain", "12"), 0, 12.0),
+        (("--camera", "0,0,2,9,0,1"), None, 4.0),
+    ],
+)
+def test_a_page_opens_at_a_view(options, opening, intensity, scene, tmp_path):
+    page = tmp_path / "page.html"
+    assert run(["publish", str(scene), "-o", str(page), "--no-wet", "--duration", "0.1", *options]) == 0
+    settings = json.loads(page.read_text().split('id="settings">')[1].split("</script>")[0])
+    assert settings["view"] == opening and [view["name"] for view in settings["views"]] == ["Gate", "Bare wall"]
+    assert settings["states"][settings["chosen"]]["intensity"] == intensity
+
+
+def test_a_page_has_one_choice_of_the_camera(scene, tmp_path, capsys):
+    options = ("--view", "Gate", "--camera", "0,0,2,9,0,1")
+    assert run(["publish", str(scene), "-o", str(tmp_path / "page.html"), *options]) == BAD_INPUT
+    assert capsys.readouterr().err == "gsrain: --view and --camera exclude each other\n"

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from browser import CHROMIUM, browser
 from gsrain_engine.backends import open_renderer
-from gsrain_engine.publish.page import base85, write_page
+from gsrain_engine.publish.page import base85, opening_view, publish_page, write_page
 from gsrain_engine.publish.page_scene import CODES, WET_STEPS, finer_means, page_scene, wet_files
 from gsrain_engine.publish.rain_states import rain_states
 from gsrain_engine.rain.settings import RainSettings
@@ -23,13 +23,15 @@ from gsrain_engine.rain.simulation import OVERCAST, RainSimulation
 from gsrain_engine.render.passes.splashes import draw_splashes
 from gsrain_engine.render.sequence import FrameSequence
 from gsrain_engine.render.view import rain_camera
-from gsrain_engine.scene.camera import look_at
+from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.formats.sog import read_sog
 from gsrain_engine.scene.formats.sog_writer import coded, mean_steps
 from gsrain_engine.scene.gaussians import SH_C0, Gaussians, sh_from_color
 from gsrain_engine.scene.geometry import quaternions_from_matrices
 from gsrain_engine.scene.ground_water import GroundWater
+from gsrain_engine.scene.named_view import NamedView
+from gsrain_engine.scene.progress import run_to_end
 from gsrain_engine.scene.scene import Actor, Layer, PoseTrack, Scene
 from small_scene import patch, small_scene
 
@@ -339,3 +341,79 @@ def test_settings_can_not_end_their_script(written, tmp_path):
     settings = text.split('id="settings">')[1].split("</script>")[0]
     assert json.loads(settings)["states"][0]["intensity"] == 0
     assert "<" not in settings
+
+
+# Named views
+
+
+def named_views():
+    """One above the path with time and rain; one with neither; one out of the ground and roofs on the page."""
+    scene, eye = rainy_scene(), np.array([2.0, -3.0, 4.0])
+    camera = Camera.from_fov(*SIZE, 40.0, look_at(eye, np.array([20.0, 2.0, 2.0]), np.array([0, 0, 1.0])))
+    far = Camera.from_fov(*SIZE, 50.0, look_at(1e5 * eye, np.zeros(3), np.array([0, 0, 1.0])))
+    return replace(scene, views=(
+        NamedView.of("Bare <wall>", camera.shifted(ahead=2.0)),
+        NamedView.of("Gate", camera, time_s=1.5, rain={"intensity_mm_h": 50.0}),
+        NamedView.of("Far", far, time_s=9.0),
+    ))  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def with_views(tmp_path_factory):
+    folder, scene = tmp_path_factory.mktemp("views"), named_views()
+    sequence = FrameSequence(scene, RainSimulation.start(RAIN), path(), *SIZE)
+    opening = opening_view(scene, "Gate", has_path=True)
+    with open_renderer("cpu") as renderer:
+        result = run_to_end(publish_page(renderer, scene, RAIN, sequence, "a path", folder / "a.html", None, opening))
+    return result, sequence
+
+
+def test_the_first_view_opens_a_page_unless_a_path_is_chosen():
+    scene = named_views()
+    assert opening_view(scene, None, has_path=False) is scene.views[0]
+    assert opening_view(scene, None, has_path=True) is None and opening_view(Scene("x"), None, has_path=False) is None
+    with pytest.raises(ValueError, match="did you mean 'Gate'"):
+        opening_view(scene, "gat", has_path=False)
+
+
+def test_a_page_lists_the_named_views(with_views):
+    result, _ = with_views
+    text = result.made.read_text()
+    settings = json.loads(text.split('id="settings">')[1].split("</script>")[0])
+    assert settings["view"] == 1 and result.numbers["named_views"] == ["Bare <wall>", "Gate", "Far"]
+    bare, gate, far = settings["views"]
+    np.testing.assert_allclose(gate["camera"][:3], [2.0, -3.0, 4.0], atol=1e-6)
+    assert (gate["camera"][7], gate["t"], gate["mm"]) == (40.0, 1.5, 50.0)
+    assert bare.keys() == {"name", "camera", "floor"} and far["t"] == 2.0  # where the path ends
+    assert '<option value="0">Bare &lt;wall&gt;</option>' in text
+
+
+@needs_browser
+def test_views_of_a_page_are_gone_to_by_list_and_keys(with_views, tmp_path):
+    result, sequence = with_views
+    with browser(tmp_path) as page:
+        page.open(result.made, *SIZE)
+        page.run("gsrain.ready.then(() => true)")
+
+        def is_listed():
+            return page.run("document.getElementById('views').selectedOptions[0].textContent")
+
+        page.run("act('play')")  # and time stands
+        assert is_listed() == "Gate" and "camera=2,-3,4," in page.run("gsrain.view()")
+        found = on_page(page, 50.0, 1.5)  # at the camera of the view
+        view = replace(rainy_at(sequence, 50.0), camera=sequence.scene.views[1].camera(*SIZE), start_s=1.5)
+        assert decibels(found, on_desktop(view, 1.5)) > 38
+        page.run("dispatchEvent(new KeyboardEvent('keydown', {key: '1'}))")
+        assert is_listed() == "Bare <wall>" and "mm=50&" in page.run("gsrain.view()")
+        choose = "const list = document.getElementById('views'); list.value"
+        page.run(f"{choose} = '1'; list.dispatchEvent(new Event('change'))")
+        assert is_listed() == "Gate" and "t=1.50&" in page.run("gsrain.view()")
+        page.run("look(10, 0)")
+        assert is_listed() == "Views" and "camera=2,-3,4," in page.run("gsrain.view()")
+        page.run("dispatchEvent(new KeyboardEvent('keydown', {key: 'Home'}))")
+        assert page.run("gsrain.view()").endswith("view=") and is_listed() == "Views"
+        changed = "new Promise(done => addEventListener('hashchange', () => done(0), {once: true}))"
+        for address, name in (("view=Bare%20%3Cwall%3E", "Bare <wall>"), ("view=", "Views"), ("mm=5", "Gate")):
+            page.run(f"location.hash = '{address}', {changed}")
+            assert is_listed() == name
+        assert "mm=5&" in page.run("gsrain.view()")
