@@ -23,6 +23,7 @@ from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.lamps import Lamp
+from gsrain_engine.scene.named_view import NamedView
 from gsrain_engine.scene.scene import Actor, ColorGrading, Layer, PoseTrack, RigCamera, Scene
 
 _Parameters = ParamSpec("_Parameters")
@@ -203,7 +204,7 @@ def _conform_object(value: Any, name: str) -> Any:
             if found is value:
                 _sound.add(value)
             return found
-        case Lamp() | ColorGrading():
+        case Lamp() | ColorGrading() | NamedView():
             try:
                 return checked_settings(value, type(value), {})
             except ValueError as error:

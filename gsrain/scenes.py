@@ -6,7 +6,7 @@ Cameras are in a scene's world: meters, z up. A camera looks along its own z axi
 from collections.abc import Callable, Sequence
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -22,6 +22,8 @@ from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.editor.edits.level import oriented
 from gsrain_engine.editor.steps import EditStep, apply_steps
 from gsrain_engine.editor.viewport import camera as views
+from gsrain_engine.rain.keyframes import rain_of
+from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.render.export_settings import DEFAULT_SIZE_PX, LARGEST_PX
 from gsrain_engine.safe_io.errors import SceneFormatError as SceneFormatError
 from gsrain_engine.safe_io.errors import convert_checked
@@ -32,6 +34,8 @@ from gsrain_engine.scene.camera_path_io import read_camera_path, write_camera_pa
 from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.scene.gaussians import Gaussians as Gaussians
 from gsrain_engine.scene.lamps import Lamp as Lamp
+from gsrain_engine.scene.named_view import NamedView as NamedView
+from gsrain_engine.scene.named_view import view_named
 from gsrain_engine.scene.open import load_scene, load_sorted_scene
 from gsrain_engine.scene.progress import Progress as Progress
 from gsrain_engine.scene.progress import run_to_end
@@ -177,9 +181,71 @@ def home_camera(scene: Scene, size: tuple[int, int] = DEFAULT_SIZE_PX) -> Camera
 
     It looks through the windscreen where the scene has an ego vehicle with cameras, else at the scene's middle.
     """
+    _check_size(size)
+    return views.home_camera(scene, *size)
+
+
+class View(NamedTuple):
+    """A named view of a scene: `camera, time, rain = gr.view(scene, name)`."""
+
+    camera: Camera
+    """In the world: meters, z up."""
+    time: float
+    """Moment of scene and rain in seconds."""
+    rain: RainSettings | None
+    """None is no rain."""
+
+
+@checked
+def view(scene: Scene, name: str, size: tuple[int, int] = DEFAULT_SIZE_PX) -> View:
+    """Return camera, time and rain of a named view of a scene; `scene.views` lists them.
+
+    Args:
+        scene: The scene.
+        name: Name of the view.
+        size: Width and height of its pictures in pixels.
+
+    Returns:
+        The view; one without time is at 0 s, and one without rain in the rain that the scene is saved with.
+
+    Raises:
+        ValueError: When the scene has no such view, or its rain is damaged.
+    """
+    from gsrain_engine.editor.views import scene_at_view  # loads OpenCV
+
+    _check_size(size)
+    found = view_named(scene.views, name, scene.name)
+    rain = rain_of(scene_at_view(scene, found))
+    camera = found.camera(*size).moved(scene.scene_to_world)
+    return View(camera, found.time_s or 0.0, rain)
+
+
+@checked
+def save_view(
+    scene: Scene, name: str, camera: Camera, *, time: float | None = None, rain: RainSettings | None = None
+) -> Scene:
+    """Return the scene with a named view, in place of one of that name, else as the last one.
+
+    Args:
+        scene: The scene; it stays as it is.
+        name: Name of the view.
+        camera: A camera in the world, of which the view has the pose and the vertical field of view.
+        time: Moment of scene and rain in seconds; None leaves the time as it is.
+        rain: The rain; None leaves the rain as it is.
+
+    Raises:
+        ValueError: For a name that can't be displayed, and a time below 0.
+    """
+    from gsrain_engine.editor.edits.views import save_view
+    from gsrain_engine.editor.views import plain_rain
+
+    own = camera.moved(np.linalg.inv(scene.scene_to_world))
+    return save_view(scene, NamedView.of(name, own, time_s=time, rain=None if rain is None else plain_rain(rain)))
+
+
+def _check_size(size: tuple[int, int]) -> None:
     if not all(1 <= each <= LARGEST_PX for each in size):
         raise ValueError(f"size {size[0]} x {size[1]}: must be within 1..{LARGEST_PX} px")
-    return views.home_camera(scene, *size)
 
 
 class CameraPath(camera_path.CameraPath):

@@ -161,7 +161,7 @@ class NamedViews:
             camera.moved(to_scene),
             target=(x, y, z),
             time_s=float(self._playback.clock.time_s) if self.with_time else None,
-            rain=_plain(document.rain) if self.with_rain else None,
+            rain=plain_rain(document.rain) if self.with_rain else None,
         )
 
     def _rain_changes(self, rain: RainSettings) -> dict[str, Any]:
@@ -190,11 +190,11 @@ def scene_at_view(scene: Scene, view: NamedView) -> Scene:
 
     Raises `ValueError`, which names view and field, if the values of that rain are invalid.
     """
-    return scene if view.rain is None else replace(scene, rain=_plain(rain_of_view(scene, view)))
+    return scene if view.rain is None else replace(scene, rain=plain_rain(rain_of_view(scene, view)))
 
 
-def _plain(rain: RainSettings) -> dict[str, Any]:
-    """Rain as JSON values."""
+def plain_rain(rain: RainSettings) -> dict[str, Any]:
+    """Rain as JSON values, as views hold it."""
     return msgspec.json.decode(msgspec.json.encode(rain))
 
 

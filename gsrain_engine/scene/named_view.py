@@ -41,6 +41,9 @@ class NamedView(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True,
     def __post_init__(self) -> None:
         super().__post_init__()
         name = self.name
+        for field, value, kind in (("name", name, str), ("rain", self.rain, dict | None)):
+            if not isinstance(value, kind):  # of Python: files are checked before
+                raise TypeError(f"{field} of type {type(value).__name__}, expected {kind}")
         if not 0 < len(name) <= _LONGEST_NAME or name != name.strip() or not name.isprintable():
             raise ValueError(
                 f"view {name[:_LONGEST_NAME]!r}: a name has 1 to {_LONGEST_NAME} printable characters, "

@@ -61,7 +61,7 @@ WHOLE = [np.int64(2), np.uint8(2), np.array(2), torch.tensor(2), Whole(), 2]
 TRUE = [np.bool_(True), np.array(True), torch.tensor(True), True]
 
 
-OUTPUTS = gr.RainMeasurement, gr.ViewerError
+OUTPUTS = gr.RainMeasurement, gr.View, gr.ViewerError
 
 
 def public_calls():
@@ -218,6 +218,7 @@ CHEAP = {
     "load": {"path": "none.ply"},
     "save": {"scene": None, "path": "new.ply"},
     "home_camera": {"scene": None},
+    "view": {"scene": None, "name": "none"},
     "edit": {"scene": None, "name": "rename", "key": "layers/road", "to": "asphalt"},
     "capture": {"path": "none"},
     "render": {"scene": None, "size": SIZE, "backend": "cpu"},
@@ -269,7 +270,7 @@ def refusal(*of):
         assert "\n" not in str(error) and len(str(error)) < 2000, of
 
 
-@pytest.mark.parametrize("kind", ["camera", "gaussians", "layer", "actor", "lamp", "scene", "rain", "path"])
+@pytest.mark.parametrize("kind", ["camera", "gaussians", "layer", "actor", "lamp", "view", "scene", "rain", "path"])
 def test_a_value_with_a_wrong_kind_of_field_is_refused_where_it_is_used(kind, scene, camera, unchecked):
     layer = scene.layers[0]
     track = PoseTrack(np.zeros(1), np.zeros((1, 3)), np.array([[1.0, 0, 0, 0]]), np.ones(1, bool))
@@ -280,6 +281,10 @@ def test_a_value_with_a_wrong_kind_of_field_is_refused_where_it_is_used(kind, sc
         "layer": (layer, rendered),
         "actor": (actor, lambda made: conform(replace(scene, actors=(made,)), gr.Scene, "scene")),
         "lamp": (gr.Lamp(position=(0, 0, 3)), lambda made: conform(replace(scene, lamps=(made,)), gr.Scene, "scene")),
+        "view": (
+            gr.NamedView(name="one", position=(0, 0, 3), quaternion_wxyz=(1, 0, 0, 0)),
+            lambda made: conform(replace(scene, views=(made,)), gr.Scene, "scene"),
+        ),
         "scene": (scene, lambda made: conform(made, gr.Scene, "scene")),
         "rain": (gr.Rain(1), lambda made: conform(made, gr.RainSettings, "rain")),
         "path": (gr.CameraPath.orbit(scene), lambda made: conform(made, gr.CameraPath, "path").camera(0.0, *SIZE)),

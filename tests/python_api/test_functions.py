@@ -140,6 +140,27 @@ def test_a_camera_can_be_given_or_a_path(scene):
     assert np.abs(middle.rgb.astype(float) - own.rgb).mean() < 1  # an orbit passes its home camera
 
 
+def test_a_named_view_is_what_the_command_renders(tmp_path, scene):
+    tilted = replace(scene, metres_per_unit=2.0, up=(0.1, 0.0, 1.0))
+    home = gr.home_camera(tilted, SIZE)
+    named = gr.save_view(tilted, "Gate", home.shifted(right=1.0), time=2.0, rain=gr.Rain(30.0))
+    named = gr.save_view(named, "Bare", home)
+    gr.save(named, tmp_path / "scene")
+    loaded = gr.load(tmp_path / "scene")
+    assert [view.name for view in loaded.views] == ["Gate", "Bare"] and tilted.views == ()
+    camera, time, rain = gr.view(loaded, "Gate", SIZE)
+    np.testing.assert_allclose(camera.world_to_camera, home.shifted(right=1.0).world_to_camera, atol=1e-9)
+    assert (time, rain) == (2.0, gr.Rain(30.0)) and gr.view(loaded, "Bare")[1:] == (0.0, None)
+    gr.render(loaded, rain, camera, time=time, backend="cpu").save(tmp_path / "own.png")
+    assert not run(["render", str(tmp_path / "scene"), "--view", "Gate", "--size", "96x64", "--backend", "cpu",
+                    "-o", str(tmp_path / "command.png")])  # fmt: skip
+    assert (tmp_path / "own.png").read_bytes() == (tmp_path / "command.png").read_bytes()
+    with pytest.raises(ValueError, match="did you mean 'Gate'"):
+        gr.view(loaded, "gat")
+    with pytest.raises(ValueError, match="printable"):
+        gr.save_view(scene, " ", home)
+
+
 def test_paths_of_a_scene(tmp_path, scene):
     tilted = replace(scene, up=(0.0, -1.0, 0.0), metres_per_unit=2.0)
     path = gr.CameraPath.orbit(tilted, seconds=6, degrees=90)

@@ -242,7 +242,7 @@ def _go_to_view(number: int) -> Command:
     return Command(
         f"Go to view {number}", lambda views: views.go_to_number(number - 1), "View", f"Ctrl+{number}",
         "Look from this named view: its camera, and its time and rain if it has them.", is_there, more=name,
-        exists=is_there, shell="render",
+        exists=is_there, shell="render", python="view",
     )  # fmt: skip
 
 
@@ -510,7 +510,7 @@ COMMAND_GROUPS: tuple[tuple[Command, ...], ...] = (
     (
         Command("Save view as...", _set("viewport.options.dialog", "save view"), "View", "Ctrl+Shift+V",
                 "Store the present view, with its time and rain, under a name in the scene's file.",
-                lambda views: views.can_save, edit="save-view"),
+                lambda views: views.can_save, edit="save-view", python="save_view"),
         *map(_go_to_view, range(1, VIEW_KEYS + 1)),
         Command("Set view to current", lambda views: views.save(views.chosen), "", "",
                 "Set the chosen named view to the present one.", lambda views: views.has_chosen, edit="save-view"),
