@@ -41,9 +41,10 @@ class NamedView(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True,
     def __post_init__(self) -> None:
         super().__post_init__()
         name = self.name
-        for field, value, kind in (("name", name, str), ("rain", self.rain, dict | None)):
-            if not isinstance(value, kind):  # of Python: files are checked before
-                raise TypeError(f"{field} of type {type(value).__name__}, expected {kind}")
+        # Values of files have their types already, those of Python may not.
+        types = type(name), type(self.rain)
+        if types not in ((str, dict), (str, type(None))):
+            raise TypeError("a view needs a text as its name, and a dictionary or None as its rain")
         if not 0 < len(name) <= _LONGEST_NAME or name != name.strip() or not name.isprintable():
             raise ValueError(
                 f"view {name[:_LONGEST_NAME]!r}: a name has 1 to {_LONGEST_NAME} printable characters, "
