@@ -161,10 +161,12 @@ def test_an_export_says_before_what_it_leaves_out(editor, tmp_path):
     scene = scene.with_member("layers/road", wet_sh=scene.layers[0].gaussians.sh)
     editor.document.edit("Edit", replace_scene, replace(scene.with_member("layers/wall", marks=hidden), path=path))
     editor.document.change_rain("Rain", intensity_mm_h=4.0)
+    editor.views.save("Gate")
     editor.files.export_to(tmp_path / "out.ply")
     text = editor.status.question.text
     assert not (tmp_path / "out.ply").exists() and editor.files.busy is None
-    for phrase in ("3 layers", "sky", "5 hidden", "wet colors", "1 camera key\n", "the rain\n", "rig"):
+    held = ("3 layers", "sky", "5 hidden", "wet colors", "1 camera key\n", "1 named view\n", "the rain\n", "rig")
+    for phrase in held:
         assert phrase in text
     for phrase in ("actor", "selection", "over time", "direction of view", "replaced"):
         assert phrase not in text
