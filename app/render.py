@@ -204,7 +204,8 @@ def render(
         export.check()
     if labels is not None and not scene_objects(opened):
         raise ValueError(f"--labels {labels}: scene {opened.name!r} has no actors that labels could be about")
-    settings = rain_options.for_scene(opened, "plan" if is_plan(camera) else "scene")
+    is_to_scale = is_plan(camera) or (chosen is not None and chosen.orthographic)
+    settings = rain_options.for_scene(opened, "plan" if is_to_scale else "scene")
     weather = rendered_weather(rain_options, opened, rain_keyframes)
     if wet is False and weather is not None:
         weather = weather.without("wetness")
@@ -545,6 +546,7 @@ def viewpoint_of(
 
     from gsrain_engine.editor.jobs.record import own_path
     from gsrain_engine.editor.viewport.camera import FOV_DEG, front_camera, home_camera
+    from gsrain_engine.editor.views import camera_of_view
     from gsrain_engine.scene.camera import Camera, look_at, read_camera
     from gsrain_engine.scene.camera_path_io import read_camera_path
     from gsrain_engine.scene.formats.gltf import GLTF
@@ -552,7 +554,7 @@ def viewpoint_of(
     check_one_camera(view, camera, camera_path)
     width, height = export.size_px or DEFAULT_SIZE_PX
     if view is not None:
-        return view.camera(width, height).moved(scene.scene_to_world)
+        return camera_of_view(scene, view, width, height)
     if camera is not None and (places := _eye_and_target(camera)) is not None:
         eye, target, up = *places, np.array([0.0, 0.0, 1.0])
         return Camera.from_fov(width, height, FOV_DEG, look_at(eye, target, up))

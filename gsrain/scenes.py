@@ -211,12 +211,12 @@ def view(scene: Scene, name: str, size: tuple[int, int] = DEFAULT_SIZE_PX) -> Vi
     Raises:
         ValueError: When the scene has no such view, or its rain is damaged.
     """
-    from gsrain_engine.editor.views import scene_at_view  # loads OpenCV
+    from gsrain_engine.editor.views import camera_of_view, scene_at_view  # they load OpenCV
 
     _check_size(size)
     found = view_named(scene.views, name, scene.name)
     rain = rain_of(scene_at_view(scene, found))
-    camera = found.camera(*size).moved(scene.scene_to_world)
+    camera = camera_of_view(scene, found, *size)
     return View(camera, found.time_s or 0.0, rain)
 
 

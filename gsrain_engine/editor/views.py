@@ -16,13 +16,16 @@ from ..rain.keyframes import saved_rain
 from ..rain.settings import RainSettings
 from ..render.images import jpeg_file
 from ..safe_io.errors import convert_checked
+from ..scene.camera import Camera
 from ..scene.named_view import MAX_VIEWS, NamedView, view_named
+from ..scene.orthographic import orthographic
 from ..scene.scene import Scene
 from .document import Document
 from .edits.members import unique_name
 from .edits.views import move_view, remove_view, rename_view, save_view
 from .status import StatusBus
 from .timeline import Playback
+from .viewport.camera import find_scene_core
 from .viewport.options import Texture
 from .viewport_state import ViewportState
 
@@ -114,6 +117,7 @@ class NamedViews:
         viewport, to_world = self._viewport, self._document.scene.scene_to_world
         viewport.chase.begin("free")
         viewport.look_from(view.camera(*_VIEW_SIZE).moved(to_world))
+        viewport.options.orthographic = view.orthographic
         if view.target is not None:
             navigation = viewport.navigation
             navigation.set_pivot(to_world[:3, :3] @ view.target + to_world[:3, 3])
@@ -151,7 +155,8 @@ class NamedViews:
         """The present view of the viewport, in units and axes of the scene."""
         document, viewport, navigation = self._document, self._viewport, self._viewport.navigation
         to_scene = np.linalg.inv(document.scene.scene_to_world)
-        camera = viewport.shot(*_VIEW_SIZE).camera
+        is_plan = viewport.options.orthographic and not viewport.options.follow_path
+        camera = navigation.camera(*_VIEW_SIZE) if is_plan else viewport.shot(*_VIEW_SIZE).camera
         pivot = navigation.target if navigation.pivot is None else navigation.pivot
         if viewport.options.follow_path:  # the pivot is that of the camera which was left
             pivot = camera.position + navigation.distance_m * camera.world_to_camera[2, :3]
@@ -160,6 +165,7 @@ class NamedViews:
             name,
             camera.moved(to_scene),
             target=(x, y, z),
+            orthographic=is_plan,
             time_s=float(self._playback.clock.time_s) if self.with_time else None,
             rain=plain_rain(document.rain) if self.with_rain else None,
         )
@@ -175,6 +181,15 @@ class NamedViews:
 
 
 # Views outside of the window
+
+
+def camera_of_view(scene: Scene, view: NamedView, width: int, height: int) -> Camera:
+    """Camera of a view for an image size in pixels, in the world (meters)."""
+    camera = view.camera(width, height).moved(scene.scene_to_world)
+    if not view.orthographic:
+        return camera
+    depth_m = float(np.linalg.norm(np.subtract(view.target, view.position))) * scene.metres_per_unit
+    return orthographic(camera, depth_m, find_scene_core(scene))
 
 
 def rain_of_view(scene: Scene, view: NamedView) -> RainSettings:

@@ -2,6 +2,7 @@
 
 import difflib
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -31,6 +32,8 @@ class NamedView(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True,
     vertical_fov_deg: Annotated[float, Meta(ge=1e-4, lt=180)] = 50.0
     target: Vector | None = None
     """Point that a drag orbits in the window; None leaves its distance as it is."""
+    orthographic: bool = False
+    """True for parallel rays, with the scale that the camera's picture has at the target."""
     time_s: Annotated[float, Meta(ge=0, le=1e9)] | None = None
     """Time of scene and rain in seconds; None leaves the time as it is."""
     rain: dict[str, Any] | None = None
@@ -55,10 +58,20 @@ class NamedView(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True,
             raise ValueError(f"view {name!r}: position, target and quaternion_wxyz must be finite numbers")
         if not abs(np.linalg.norm(self.quaternion_wxyz) - 1) < _NOT_UNIT:
             raise ValueError(f"view {name!r}: quaternion_wxyz {list(self.quaternion_wxyz)} must have the length 1")
+        if self.orthographic and (self.target is None or self.target == self.position):
+            raise ValueError(f"view {name!r}: an orthographic view needs a target away from its position")
 
     @classmethod
     def of(cls, name: str, camera: Camera, **fields: Any) -> "NamedView":
         """View of a camera in units and axes of the scene. Raises `ValueError` for a name that is not allowed."""
+        if camera.is_orthographic:
+            # A pinhole before the picture plane, by as much as the picture is high there
+            away_m, ahead = camera.height / camera.pixels_per_m, camera.world_to_camera[2, :3]
+            target = camera.position + camera.plane_m * ahead
+            pinhole = camera.shifted(ahead=camera.plane_m - away_m)
+            fx, fy = camera.pixels_per_m * away_m * camera.fx / camera.fy, camera.pixels_per_m * away_m
+            camera = replace(pinhole, fx=fx, fy=fy, plane_m=0.0)
+            fields = {"target": tuple(target.tolist()), "orthographic": True} | fields
         x, y, z = camera.position.tolist()
         a, b, c, d = quaternions_from_matrices(camera.camera_to_world[None, :3, :3])[0].tolist()
         fov_deg = float(camera.vertical_fov_deg)
@@ -78,7 +91,7 @@ class NamedView(Settings, frozen=True, kw_only=True, forbid_unknown_fields=True,
         return ", ".join([*time, f"{rate:g} mm/h"] if rate is not None else time)
 
     def camera(self, width: int, height: int) -> Camera:
-        """Camera of an image size in pixels, in units and axes of the scene."""
+        """Pinhole of an image size in pixels, in units and axes of the scene."""
         pose = np.eye(4)
         pose[:3, :3] = matrices_from_quaternions(normalized(np.array(self.quaternion_wxyz, np.float64)))
         pose[:3, 3] = self.position

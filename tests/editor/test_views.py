@@ -13,7 +13,7 @@ from gsrain_engine.editor.autosave import autosave_folder
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.edits.actors import set_origin
 from gsrain_engine.editor.edits.level import set_length
-from gsrain_engine.editor.views import picture_pixels, small_picture
+from gsrain_engine.editor.views import camera_of_view, picture_pixels, small_picture
 from gsrain_engine.rain.keyframes import RainKeyframes
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from gsrain_engine.scene.named_view import MAX_VIEWS, NamedView, view_named
@@ -45,6 +45,29 @@ def assert_same(found, expected):
     for one, other in zip(found[:3], expected[:3], strict=True):
         np.testing.assert_allclose(one, other, atol=1e-9)
     assert found[3] == expected[3]
+
+
+def test_a_view_from_above_is_come_back_to_and_rendered_to_scale(editor):
+    editor.viewport.look_from_above()
+    editor.viewport.dolly(2)
+    before = editor.viewport.shot(96, 64).camera
+    editor.views.save("Plan")
+    (view,) = editor.document.scene.views
+    editor.viewport.go_home()
+    assert not editor.viewport.shot(96, 64).camera.is_orthographic
+    editor.views.go_to("Plan")
+    for camera in (editor.viewport.shot(96, 64).camera, camera_of_view(editor.document.scene, view, 96, 64)):
+        assert camera.pixels_per_m == pytest.approx(before.pixels_per_m)
+        np.testing.assert_allclose(camera.world_to_camera, before.world_to_camera, rtol=1e-9, atol=1e-6)
+    again = NamedView.of("again", before)  # as from Python, of the camera alone
+    camera = camera_of_view(replace(editor.document.scene, metres_per_unit=1.0, up=(0.0, 0.0, 1.0)), again, 96, 64)
+    assert camera.pixels_per_m == pytest.approx(before.pixels_per_m)
+    middle = before.position + before.plane_m * before.world_to_camera[2, :3]
+    np.testing.assert_allclose(
+        (camera.world_to_camera[:3, :3] @ middle + camera.world_to_camera[:3, 3])[:2], 0, atol=1e-6
+    )
+    with pytest.raises(ValueError, match="orthographic view needs a target"):
+        structs.replace(view, target=None)
 
 
 def names(editor):
