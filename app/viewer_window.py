@@ -11,8 +11,11 @@ from typing import TYPE_CHECKING, BinaryIO, Literal, cast
 
 from gsrain.viewer_messages import (
     REQUESTS,
+    ApplyEdit,
     Close,
+    GetScene,
     GetState,
+    GoToStep,
     Reply,
     Request,
     Screenshot,
@@ -27,6 +30,7 @@ from gsrain_engine.safe_io.errors import sentence_of
 from .options import window_problem
 
 if TYPE_CHECKING:
+    from gsrain_engine.editor.document import DocumentState
     from gsrain_engine.editor.editor import Editor
     from gsrain_engine.scene.scene import Scene
     from ui.workspace import Workspace
@@ -56,6 +60,11 @@ class ViewerWindow:
         self._program_exited = False
         self._is_drawing = False
         self._reading: Future[Scene] | None = None
+        self._given: Scene | None = None
+        """The scene that was set last, as the window has it."""
+        self._saving: Future[Path] | None = None
+        self._edited: tuple[DocumentState, Future[Scene]] | None = None
+        """Edit in the background, and the document that it edits."""
         self._screenshot: Path | None = None
 
     def run(self, backend: Literal["auto", "opengl", "opengl-tiles", "opengl-quads", "cpu"]) -> int:
@@ -100,7 +109,8 @@ class ViewerWindow:
                 raise OSError("the program that has opened it is gone")
             first = self._pending.popleft()
         assert isinstance(first, SetScene)
-        editor = Editor(read_scene(Path(first.folder)))
+        self._given = read_scene(Path(first.folder))
+        editor = Editor(self._given)
         self._reply(Reply(number=first.number))
         return editor
 
@@ -133,7 +143,8 @@ class ViewerWindow:
                 if (error := reading.exception()) is not None:
                     reply = Reply(number=request.number, error=f"the scene can't be shown: {error}")
                 else:
-                    document.set_contents("Scene of a program", reading.result(), document.rain, _STEP)
+                    self._given = reading.result()
+                    document.set_contents("Scene of a program", self._given, document.rain, _STEP)
             case SetRain():
                 document.set_contents("Rain of a program", document.scene, request.rain, _STEP)
             case SetCamera():
@@ -155,12 +166,59 @@ class ViewerWindow:
             case GetState():
                 camera = viewport.shot(*editor.wet_look.viewport_px).camera
                 values = camera.to_json() | {"exposure_s": camera.exposure_s}
-                reply = Reply(number=request.number, rain=document.rain, camera=values)
+                labels = document.history.labels[: document.history.cursor + 1]
+                reply = Reply(number=request.number, rain=document.rain, camera=values, steps=labels)
+            case ApplyEdit():
+                try:
+                    if not self._make(request, editor):
+                        return False
+                except ValueError as error:
+                    reply = Reply(number=request.number, error=str(error))
+            case GoToStep():
+                document.go_to_step(document.history.cursor + request.by)
+            case GetScene():
+                if document.scene is not self._given:
+                    if self._saving is None:
+                        from gsrain_engine.editor.autosave import saved_scene
+                        from gsrain_engine.editor.jobs.folder import write_copy
+                        from gsrain_engine.scene.formats.scene_folder import FileCache
+
+                        scene = saved_scene(viewport)
+                        self._saving = editor.background.submit(write_copy, scene, Path(request.folder), FileCache())
+                    if not self._saving.done():
+                        return False
+                    saving, self._saving = self._saving, None
+                    if (error := saving.exception()) is not None:
+                        reply = Reply(number=request.number, error=f"the scene can't be written: {error}")
+                    else:
+                        reply = Reply(number=request.number, folder=str(saving.result()))
             case Close():
                 _leave(editor)
         if editor.files.has_changes and not had_changes:
             editor.files.give_up()  # the program has sent them; users are asked only about their own changes
         self._reply(reply)
+        return True
+
+    def _make(self, request: ApplyEdit, editor: "Editor") -> bool:
+        """Continue with an edit, whose scene is computed in the background; returns True if it is done."""
+        from gsrain_engine.editor.document import Recipe
+        from gsrain_engine.editor.edits.members import replace_scene
+        from gsrain_engine.editor.steps import EditStep
+
+        document = editor.document
+        step = EditStep(request.name, request.arguments).step(document.state)
+        document.end_gesture()
+        if step.of != "scene" or step.arguments:  # of rain, selection or path: at once
+            document.perform(step)
+            return True
+        if self._edited is None or self._edited[0] is not document.state:  # else a person has edited it meanwhile
+            apply, state = step.applied_to, document.state
+            self._edited = state, editor.background.submit(lambda: apply(state).scene, lane="opening")
+        if not self._edited[1].done():
+            return False
+        (_, computing), self._edited = self._edited, None
+        assert step.change is not None
+        document.edit(step.label, replace_scene, computing.result(), recipe=Recipe(step.change, step.options))
         return True
 
     def _reply(self, reply: Reply) -> None:

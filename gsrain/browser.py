@@ -432,22 +432,28 @@ def show(
     *,
     camera: Camera | None = None,
     server: bool = False,
+    block: bool = True,
     **options: Any,
-) -> None:
+) -> "Viewer | BrowserViewer | None":
     """Show a scene in a window, and wait until a person closes it, or presses Ctrl-C; see `Viewer` for the arguments.
 
-    With `server=True` the window is a page for browsers, for machines without a display; see `BrowserViewer`.
+    With `server=True` the window is a page for browsers, for machines without a display; see `BrowserViewer`. With
+    `block=False` it does not wait, and returns the `Viewer` or `BrowserViewer`, by which the program goes on with it.
 
     Raises `ViewerError` where the window can't be opened or ends with an error.
     """
+    if not block:
+        open_window: Any = BrowserViewer if server else Viewer
+        return open_window(scene, rain, camera=camera, **options)
     if server:
         with BrowserViewer(scene, rain, camera=camera, **options) as page:
             print(f"{page.url}: open it in a browser on this machine; Ctrl-C ends")
             with suppress(KeyboardInterrupt):
                 page.wait()
-        return
+        return None
     with Viewer(scene, rain, camera=camera, **options) as viewer:
         viewer.wait()
+    return None
 
 
 @contextmanager

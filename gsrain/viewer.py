@@ -13,16 +13,36 @@ from concurrent.futures import TimeoutError as NoReplyError
 from contextlib import suppress
 from pathlib import Path
 from queue import SimpleQueue
-from typing import BinaryIO, Literal, cast
+from typing import Any, BinaryIO, Literal, cast
+
+import numpy as np
+from jaxtyping import UInt8
+from PIL import Image
 
 from gsrain_engine.editor.jobs.folder import temporary_folder, write_copy
+from gsrain_engine.editor.steps import EditStep
 from gsrain_engine.rain.settings import RainSettings as RainSettings
 from gsrain_engine.scene.camera import Camera
+from gsrain_engine.scene.formats.scene_files import read_scene
 from gsrain_engine.scene.formats.scene_folder import FileCache
 from gsrain_engine.scene.scene import Scene
 
 from .arguments import checked
-from .viewer_messages import Close, GetState, Reply, Request, Screenshot, SetCamera, SetRain, SetScene, receive, send
+from .viewer_messages import (
+    ApplyEdit,
+    Close,
+    GetScene,
+    GetState,
+    GoToStep,
+    Reply,
+    Request,
+    Screenshot,
+    SetCamera,
+    SetRain,
+    SetScene,
+    receive,
+    send,
+)
 
 logger = logging.getLogger("gsrain")
 REPLY_S = 300.0
@@ -37,9 +57,10 @@ class ViewerError(ConnectionError):
 class Viewer:
     """A window that shows a scene: `v = gr.Viewer(scene, rain)` returns while it opens.
 
-    Setting `scene`, `rain` or `camera` changes what it shows, in the order in which they are set; reading `rain` or
-    `camera` returns what the window shows now, with what was changed there by hand. It closes with the program that has
-    opened it: `v.wait()` waits until a person closes it.
+    Setting `scene`, `rain` or `camera` changes what it shows, in the order in which they are set; reading them returns
+    what the window shows now, with what was changed there by hand. `edit` and `select` are the window's own commands,
+    steps that a person sees in its history and can undo. It closes with the program that has opened it: `v.wait()`
+    waits until a person closes it.
     """
 
     @checked
@@ -96,7 +117,14 @@ class Viewer:
 
     @property
     def scene(self) -> Scene:
-        """The scene that was set last; the camera stays where it is when another one is set."""
+        """The scene that the window shows: the one that was set last, or as it was edited in the window since.
+
+        The camera stays where it is when another one is set.
+        """
+        with temporary_folder() as folder:
+            reply = self._ask(GetScene(number=self._next_number(), folder=str(folder)))
+            if reply.folder is not None:
+                return read_scene(Path(reply.folder))
         return self._scene
 
     @scene.setter
@@ -155,6 +183,56 @@ class Viewer:
         place = Path(path).absolute()
         self._ask(Screenshot(number=self._next_number(), path=str(place)))
         return Path(path)
+
+    def picture(self) -> UInt8[np.ndarray, "h w 3"]:
+        """Return what the viewport shows (sRGB, first row on top), once all that was set before is in it.
+
+        Raises `ViewerError` as `screenshot` does.
+        """
+        with temporary_folder() as folder:
+            file = self.screenshot(folder / "picture.png")
+            with Image.open(file) as image:
+                return np.asarray(image.convert("RGB"))
+
+    @checked
+    def edit(self, name: str, /, **arguments: Any) -> None:
+        """Edit the window's scene as `gr.edit` does, as a step of its history, and wait until it is made.
+
+        Args:
+            name: An edit; `gsrain edit --list` lists them with their parameters.
+            arguments: Its parameters: as in the list, or objects of the engine, such as arrays.
+
+        Raises `ViewerError` for an unknown edit or parameter, and when the edit refuses, such as for a locked layer.
+        """
+        step = EditStep.with_values(name, arguments)
+        self._ask(ApplyEdit(number=self._next_number(), name=step.name, arguments=dict(step.arguments)))
+
+    @checked
+    def select(self, what: str, /, **arguments: Any) -> None:
+        """Select Gaussians in the window: `v.select("all")`, `v.select("near", distance_m=0.5)`.
+
+        Args:
+            what: An edit without its beginning `select-`; all of them are in `gsrain edit --list`.
+            arguments: Its parameters, and `mode`: "set", "add", "remove" or "intersect".
+
+        Raises `ViewerError` as `edit` does. `scene` has the selection in the `marks` of its layers and actors.
+        """
+        self.edit(f"select-{what}", **arguments)
+
+    def undo(self) -> None:
+        """Undo the last step of the window's history, a person's or the program's; without one, do nothing."""
+        self._ask(GoToStep(number=self._next_number(), by=-1))
+
+    def redo(self) -> None:
+        """Redo the step that was undone last; without one, do nothing."""
+        self._ask(GoToStep(number=self._next_number(), by=1))
+
+    @property
+    def steps(self) -> list[str]:
+        """Labels of the window's history up to the present step; the first is the opened scene."""
+        steps = self._ask(GetState(number=self._next_number())).steps
+        assert steps is not None
+        return steps
 
     @property
     def is_open(self) -> bool:

@@ -41,11 +41,31 @@ class GetState(Request, frozen=True, kw_only=True, tag=True):
     """Request the current rain and camera."""
 
 
+class ApplyEdit(Request, frozen=True, kw_only=True, tag=True):
+    """Make an edit as a step of the window's history."""
+
+    name: str
+    arguments: dict[str, Any]
+    """Plain values."""
+
+
+class GoToStep(Request, frozen=True, kw_only=True, tag=True):
+    """Undo (-1) or redo (1) a step."""
+
+    by: int
+
+
+class GetScene(Request, frozen=True, kw_only=True, tag=True):
+    """Write the present scene into an empty folder, unless it is the one that was set last."""
+
+    folder: str
+
+
 class Close(Request, frozen=True, kw_only=True, tag=True):
     """Close without asking."""
 
 
-REQUESTS = SetScene | SetRain | SetCamera | Screenshot | GetState | Close
+REQUESTS = SetScene | SetRain | SetCamera | Screenshot | GetState | ApplyEdit | GoToStep | GetScene | Close
 
 
 class Reply(msgspec.Struct, frozen=True, kw_only=True):
@@ -57,6 +77,10 @@ class Reply(msgspec.Struct, frozen=True, kw_only=True):
     """One sentence; empty on success."""
     rain: RainSettings | None = None
     camera: dict[str, Any] | None = None
+    steps: list[str] | None = None
+    """Labels of the history up to the present step."""
+    folder: str | None = None
+    """Written scene; None for the one that was set."""
 
 
 def send(file: BinaryIO, message: Request | Reply) -> None:

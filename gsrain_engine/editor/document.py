@@ -232,6 +232,10 @@ class Document:
         at_s = self.history.step.arguments[0] if self.history.continues(gesture) else self._clock.time_s
         self._apply(label, Step("", self.state, "document", with_rain, (at_s,), fields, gesture))
 
+    def perform(self, step: Step) -> bool:
+        """Make a step whose label, change and arguments are known; return whether the document is another one."""
+        return self._apply(step.label, step)
+
     def set_contents(self, label: str, scene: Scene, rain: RainSettings, gesture: str) -> None:
         """Set scene and rain of another program."""
         self._apply(label, Step("", self.state, "document", with_contents, (scene, rain), {}, gesture))

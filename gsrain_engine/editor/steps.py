@@ -13,7 +13,7 @@ import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, is_dataclass, replace
-from functools import cache, partial
+from functools import cache
 from importlib import import_module
 from inspect import Parameter, signature
 from pathlib import Path
@@ -214,8 +214,21 @@ class EditStep:
         """Make the edit; returns the edited document.
 
         Raises:
-            EditError: For an unknown name or parameter, a missing one, or a value of another type.
-            ValueError: When the edit refuses, such as for a locked layer.
+            EditError: As `step` does.
+            ValueError: As `step` does, and when the edit refuses, such as for a locked layer.
+        """
+        return self.step(state).applied_to(state)
+
+    @property
+    def title(self) -> str:
+        """Name for people, such as "Delete selected"."""
+        return self.name.replace("-", " ").capitalize()
+
+    def step(self, state: DocumentState) -> Step:
+        """Return the edit of a document as a step of its history, which is not made yet.
+
+        Raises `EditError` for an unknown name or parameter, a missing one, or a value of another type; `ValueError` for
+        an edit of a camera path that the scene lacks.
         """
         edit = all_edits().get(self.name)
         if edit is None:
@@ -236,11 +249,11 @@ class EditStep:
         if edit.kind == "path":
             if state.scene.path is None and self.name != "set-keyframe":
                 raise ValueError("The scene has no camera path.")
-            return replace(state, scene=with_path(state.scene, change, **values))
+            return Step(self.title, state, "scene", with_path, (change,), values)
         if edit.kind == "selection":
             mode = values.pop("mode", "set")
-            return replace(state, scene=select_found(state.scene, mode, partial(change, **values)))
-        return Step("", state, edit.kind, change, (), values).applied_to(state)
+            return Step(self.title, state, "scene", select_found, (mode, change), values)
+        return Step(self.title, state, edit.kind, change, (), values)
 
 
 _PARAMETER = re.compile(r"([\w-]+)=")

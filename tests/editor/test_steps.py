@@ -28,6 +28,7 @@ from gsrain_engine.editor.steps import (
     EditStep,
     all_edits,
     apply_steps,
+    document_of,
     edit_help,
     python_program,
     shell_command,
@@ -37,7 +38,7 @@ from gsrain_engine.editor.steps import (
 from gsrain_engine.rain.keyframes import RainKeyframes
 from gsrain_engine.render.view import RenderView
 from gsrain_engine.scene.camera import Camera
-from gsrain_engine.scene.camera_path import circle_path
+from gsrain_engine.scene.camera_path import CameraPath, circle_path
 from gsrain_engine.scene.flags import BitMask, SelectionFlags
 from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.scene.lamps import Lamp
@@ -212,6 +213,26 @@ def act(editor):
 def test_edits_are_explained():
     explained = list(edit_help())
     assert [each.name for each in explained] == list(all_edits()) and all(each.summary for each in explained)
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments"),
+    [
+        ("rename", {"key": "layers/wall", "name": "facade"}),
+        ("select-near", {"time_s": 0.0, "distance_m": 0.5, "mode": "add"}),
+        ("reverse-path", {}),
+        ("change-rain", {"intensity_mm_h": 3.0}),
+        ("add-shower", {"start_s": 1.0}),
+    ],
+)
+def test_an_edit_made_as_a_step_of_a_history_is_described_as_that_edit(name, arguments):
+    flight = CameraPath(
+        np.array([0.0, 2.0]), np.array([[0.0, 0, 2], [6, 0, 2]]), np.tile([1.0, 0, 0, 0], (2, 1)), np.full(2, 50.0)
+    )
+    edit = EditStep(name, arguments)
+    step = edit.step(document_of(replace(small_scene(), path=flight)))
+    found = EditStep.of(step)
+    assert found.name == name and found.arguments == arguments
 
 
 def test_all_steps_of_the_history_have_a_command_that_does_the_same(tmp_path):

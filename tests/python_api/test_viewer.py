@@ -73,6 +73,39 @@ def test_what_is_set_is_shown_and_what_is_shown_is_read(tmp_path, monkeypatch):
 
 
 @needs_display
+def test_a_program_edits_the_open_window_beside_a_person():
+    scene = small_scene()
+    window = gr.show(scene, gr.Rain(5), block=False, timeout=WINDOW_S)
+    with window:
+        assert window.steps == ["Opened", "Rain of a program"]
+        before = window.picture()
+        window.select("all")
+        assert all(layer.marks.selected for layer in window.scene.layers) and scene.layers[0].marks.selected is None
+        window.edit("rename", key="layers/wall", name="facade")
+        window.edit("set-visible", key="layers/facade", visible=False)
+        window.edit("change-rain", intensity_mm_h=9.0)
+        assert window.rain.intensity_mm_h == 9.0
+        assert window.steps[2:] == ["Select all", "Rename", "Set visible", "Change rain"]
+        assert np.abs(window.picture().astype(int) - before).max() > 20
+        assert [layer.name for layer in window.scene.layers] == ["road", "facade", "sky"]
+        window.undo()
+        window.undo()
+        assert window.rain.intensity_mm_h == 5.0 and window.scene.layers[1].visible
+        window.redo()
+        assert not window.scene.layers[1].visible and window.steps[-1] == "Set visible"
+        for name, arguments, said in (
+            ("paint", {}, "paint: no such edit"), ("rename", {"key": "layers/wall"}, "rename: needs name"),
+            ("reverse-path", {}, "no camera path"), ("select-color", {"mode": "not"}, "select-color"),
+        ):  # fmt: skip
+            with pytest.raises(gr.ViewerError, match=said):
+                window.edit(name, **arguments)
+        assert window.steps[-1] == "Set visible" and window.is_open
+        window.scene = scene
+        assert window.scene is scene
+    assert not window.is_open
+
+
+@needs_display
 def test_a_window_that_dies_gives_one_sentence():
     viewer = gr.Viewer(small_scene(), gr.Rain(5), timeout=WINDOW_S)
     window_of_this_process().send_signal(signal.SIGKILL)
@@ -115,6 +148,9 @@ def test_the_whole_example_runs_with_smaller_pictures(tmp_path, monkeypatch):
     for name in ("rain.png", "shot.png", "last.png"):
         assert pixels(name).std() > 5
     assert names["run"].rollout == gr.read_rollout("run.jsonl")
+    beside = titled_blocks(REPOSITORY / "docs" / "python.md")["beside.py"]
+    exec(compile(beside, "beside.py", "exec"), names)
+    assert names["picture"].std() > 5 and not names["window"].is_open
     assert (tmp_path / "rain.mp4").stat().st_size and (tmp_path / "rain.clear.mp4").stat().st_size
 
 

@@ -120,9 +120,9 @@ def _counted(label: str) -> Callable[[Scene, Scene], str]:
 # Edits
 
 
-def select_found(scene: Scene, mode: Mode, find: Callable[..., Found], *arguments: Any) -> Scene:
-    """Combine the Gaussians that `find(scene, *arguments)` returns with the selection."""
-    return candidates.combine_selection(scene, find(scene, *arguments), mode)
+def select_found(scene: Scene, mode: Mode, find: Callable[..., Found], *arguments: Any, **options: Any) -> Scene:
+    """Combine the Gaussians that `find(scene, *arguments, **options)` returns with the selection."""
+    return candidates.combine_selection(scene, find(scene, *arguments, **options), mode)
 
 
 def unused_set_name(scene: Scene) -> str:
