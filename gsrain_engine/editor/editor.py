@@ -119,6 +119,7 @@ class Editor:
         """Reset camera and timeline for another scene."""
         self.playback.reset()
         self.viewport.reset()
+        self.selection.fit(self.viewport.navigation.distance_m)
         self.live_rain.look_for_sky()
         self.wet_look.previewed = None
 

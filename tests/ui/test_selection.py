@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from gsrain_engine.editor.selection.candidates import selected, selected_count
+from small_scene import small_scene
 from ui.commands.keys import chord
 from ui.tools import TOOLS
 from window_driver import Driver, imgui
@@ -119,16 +120,39 @@ def test_sphere_and_box_are_placed_sized_and_applied(driver):
     assert options.ball is None and driver.counts()["road"] == len(means)
     driver.use("Box")
     driver.draw((0.5, 0.75))
-    assert options.box.center_m[2] == pytest.approx(1.0, abs=0.1)
+    height_m = options.box.size_m[2]
+    assert options.box.center_m[2] == pytest.approx(height_m / 2, abs=0.1)
     face = driver.on_screen(options.box.face_m(2, True))
     driver.stroke(face, face - [0, 40])
-    assert options.box.size_m[2] > 2.1
+    assert options.box.size_m[2] > 1.05 * height_m
     driver.ctx.set_ref("//View")
     driver.type_in("**/##yaw", 30.0)
     assert options.box.yaw_deg == 30
     options.box = replace(options.box, size_m=(9.0, 2.0, 6.0))
     driver.tap("**/Apply##box")
     assert driver.counts()["road"] > 5 and driver.step == f"Select {driver.counts()['road']} by box"
+
+
+@pytest.mark.parametrize("metres_per_unit", [1.0, 0.02])
+def test_volumes_and_distances_begin_in_the_size_of_what_is_in_view(unopened, metres_per_unit):
+    driver = Hand(unopened.folder, replace(small_scene(), metres_per_unit=metres_per_unit))
+    driver.run(lambda: _place_volumes(driver))
+
+
+def _place_volumes(driver):
+    options, (_, (_, height_px)) = driver.editor.selection, driver.area()
+    shares = []
+    for name in ("Box", "Sphere"):
+        driver.use(name)
+        driver.draw((0.5, 0.75))
+        camera = driver.editor.viewport.shot(16, int(height_px)).camera
+        volume = options.box if name == "Box" else options.ball
+        size_m = volume.size_m[0] if name == "Box" else 2 * volume.radius_m
+        depth_m = camera.world_to_camera[2, :3] @ volume.center_m + camera.world_to_camera[2, 3]
+        shares.append(size_m * camera.fy / depth_m / height_px)
+    assert shares == pytest.approx([0.2, 0.2], abs=0.03)
+    radius_m = driver.editor.viewport.core.radius_m
+    assert 1e-3 < options.distance_m / radius_m < 2e-2 and 0.2 < options.depth_m / radius_m < 2
 
 
 def test_a_range_dragged_over_the_histogram_selects(driver):

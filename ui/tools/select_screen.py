@@ -69,7 +69,7 @@ class ShapeTool(base.DragTool):
             same_line_if_room(5.5)
             help_text = "How deep, in meters from the camera along its view axis."
             _, options.depth_m = base.drag_number(
-                "##depth_m", options.depth_m, 0.1, (0.2, 2000.0), "%.1f m", help_text, 5.5, flags=0
+                "##depth_m", options.depth_m, 0.005 * options.depth_m, (0.02, 2000.0), "%.3g m", help_text, 5.5, flags=0
             )
         same_line_if_room(6)
         _, options.touching = imgui.checkbox("Touching", options.touching)

@@ -17,7 +17,8 @@ from ..widgets.text import inline_text
 from .base import CLAMP, DragTool, Tool, drag_number, drag_vector, draw_polyline, point_under_mouse
 from .select_screen import MODIFIERS, mode_now, mode_options
 
-_FIRST_SIZE_M = (2.0, 2.0, 2.0)
+_FIRST_SHARE = 0.2  # of the viewport's height: first side of a box, and diameter of a sphere
+_SPEED = 0.01  # of the size: a pixel of a drag over a number
 _CENTER_HELP = "Middle of the box in the world: x, y, z in meters."
 _SIZE_HELP = "Size of the box along its own x, y, z in meters."
 _YAW_HELP = "Turn of the box to the left, in degrees."
@@ -63,7 +64,8 @@ class BoxTool(BoxFaceTool):
         if is_pressed(canvas) and self._held is None:  # in its previous size
             point = point_under_mouse(self._document, canvas)
             if point is not None:
-                options.box = placed_on(options.box or CropBox((0.0, 0.0, 0.0), _FIRST_SIZE_M), point)
+                side = canvas.size_m(_FIRST_SHARE, point)
+                options.box = placed_on(options.box or CropBox((0.0, 0.0, 0.0), (side, side, side)), point)
         if options.box is None:
             draw_hint(canvas, "Click on a surface to put the box there")
             return True
@@ -77,12 +79,13 @@ class BoxTool(BoxFaceTool):
         box = self._selection.box
         if box is None:
             return
+        speed = _SPEED * max(box.size_m)
         same_line_if_room(14.5)
         inline_text("at", faint=True)
-        _, center = drag_vector("##center", box.center_m, 0.02, -1e5, _CENTER_HELP, 12, flags=0)
+        _, center = drag_vector("##center", box.center_m, speed, -1e5, _CENTER_HELP, 12, flags=0)
         same_line_if_room(14.5)
         inline_text("size", faint=True)
-        _, size = drag_vector("##size", box.size_m, 0.02, 0.01, _SIZE_HELP, 12)
+        _, size = drag_vector("##size", box.size_m, speed, 0.01, _SIZE_HELP, 12)
         same_line_if_room(7)
         inline_text("turn", faint=True)
         _, yaw = drag_number("##yaw", box.yaw_deg, 0.5, (-180.0, 180.0), "%.1f°", _YAW_HELP, 4.5)
@@ -98,7 +101,6 @@ class SphereTool(DragTool):
     icon = icons_fontawesome_6.ICON_FA_GLOBE
     key = imgui.Key.o
     help = f"Press on a surface for the center, drag for the radius; Enter selects what is inside. {MODIFIERS}"
-    _radius_m = 1.0
 
     def __init__(self, document: Document, playback: Playback, selection: SelectionTool) -> None:
         self._document, self._playback, self._selection = document, playback, selection
@@ -109,10 +111,11 @@ class SphereTool(DragTool):
             point = point_under_mouse(self._document, canvas)
             if point is not None:
                 x, y, z = point.tolist()
-                options.ball = Sphere((x, y, z), self._radius_m)
+                before = options.ball
+                radius_m = canvas.size_m(_FIRST_SHARE / 2, point) if before is None else before.radius_m
+                options.ball = Sphere((x, y, z), radius_m)
         if self.follow_drag(canvas) == "dragged" and self.has_moved and options.ball is not None:
             options.ball = options.ball.reaching(*canvas.ray(*canvas.mouse_px))
-            self._radius_m = options.ball.radius_m
         if options.ball is None:
             draw_hint(canvas, "Press on a surface for the center, drag for the radius")
             return True
@@ -132,7 +135,7 @@ class SphereTool(DragTool):
             return
         same_line_if_room(13)
         help_text = "Center of the sphere in the world: x, y, z in meters."
-        moved, center = drag_vector("##center", ball.center_m, 0.02, -1e5, help_text, 13, flags=0)
+        moved, center = drag_vector("##center", ball.center_m, _SPEED * ball.radius_m, -1e5, help_text, 13, flags=0)
         same_line_if_room(7)
         help_text, flags = "Radius of the sphere in meters.", CLAMP | imgui.SliderFlags_.logarithmic
         sized, radius = drag_number(
@@ -140,7 +143,6 @@ class SphereTool(DragTool):
         )
         if moved or sized:
             self._selection.ball = ball = Sphere(center, radius)
-            self._radius_m = radius
         if _is_dropped(self._playback, self._selection, ball, "sphere"):
             self._selection.ball = None
 
@@ -201,7 +203,7 @@ class CropTool(BoxFaceTool):
             imgui.align_text_to_frame_padding()
             imgui.text(words)
             imgui.same_line(4.2 * imgui.get_font_size())
-            changed, value = drag_vector(f"##{name}", getattr(box, name), 0.05, low, help_text, 15)
+            changed, value = drag_vector(f"##{name}", getattr(box, name), _SPEED * max(box.size_m), low, help_text, 15)
             if changed:
                 box = replace(box, **{name: value})
         self.box = box

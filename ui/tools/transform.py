@@ -91,7 +91,7 @@ class MoveTool(Tool):
 
 
 _VERBS: dict[Handle, tuple[str, str]] = {
-    "translate": ("Move", "Drag an arrow or a square; Ctrl snaps to half a meter."),
+    "translate": ("Move", "Drag an arrow or a square; Ctrl snaps to round steps that fit the view."),
     "rotate": ("Turn", "Drag a ring; Ctrl snaps to 15 degrees."),
     "scale": ("Scale", "Drag a handle: all three axes scale alike; Ctrl snaps to tenths."),
 }

@@ -35,6 +35,7 @@ TEXT = int(imgui.Col_.text)
 WHITE: Rgba = (1.0, 1.0, 1.0, 1.0)
 YELLOW: Rgba = (1.0, 0.85, 0.25, 1.0)
 _SHADOW: Rgba = (0.0, 0.0, 0.0, 0.6)
+_SMALLEST_M = 0.01
 
 
 def color(value: Color) -> int:
@@ -79,6 +80,12 @@ class Canvas:
         sight = np.array([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, 1.0])
         direction = camera.world_to_camera[:3, :3].T @ sight
         return camera.position, direction / np.linalg.norm(direction)
+
+    def size_m(self, share: float, point_m: Float64[np.ndarray, "3"]) -> float:
+        """Return the length that covers a share of the viewport's height at a point's depth, in two digits."""
+        camera = self.shot.camera
+        depth_m = float(camera.world_to_camera[2, :3] @ point_m + camera.world_to_camera[2, 3])
+        return float(f"{max(share * self.height / camera.fy * depth_m, _SMALLEST_M):.2g}")
 
     def pixel(self, point_m: Float64[np.ndarray, "3"]) -> tuple[float, float] | None:
         """Return the pixel of a world point; None behind the camera."""
@@ -235,7 +242,8 @@ _GIZMO = imguizmo.im_guizmo
 
 _SIZE = 0.17  # share of the viewport
 _FLIP = np.diag([1.0, -1.0, -1.0, 1.0])  # to OpenGL's axes: x right, y up, z backward
-_STEPS = {"translate": 0.5, "rotate": 15.0, "scale": 0.1}  # meters, degrees and factors that Ctrl snaps to
+_STEPS = {"rotate": 15.0, "scale": 0.1}  # degrees and factors that Ctrl snaps to
+_STEP_SHARE = 0.05  # of the viewport's height: the step of a move, rounded down to 1, 2 or 5
 
 
 @dataclass(slots=True)
@@ -267,7 +275,8 @@ class Gizmo:
         _GIZMO.set_drawlist()
         _GIZMO.set_rect(canvas.corner.x, canvas.corner.y, canvas.width, canvas.height)
         matrix = _GIZMO.Matrix16(picking.column_major(present))
-        snap = _GIZMO.Matrix3([_STEPS[handle]] * 3) if imgui.get_io().key_ctrl else None
+        step = _round_step(canvas.size_m(_STEP_SHARE, start[:3, 3])) if handle == "translate" else _STEPS[handle]
+        snap = _GIZMO.Matrix3([step] * 3) if imgui.get_io().key_ctrl else None
         camera = canvas.shot.camera
         with _hide_viewport_button(canvas):
             _GIZMO.manipulate(
@@ -286,6 +295,12 @@ class Gizmo:
             return None, hovered
         self._start, self._present = start, matrix.values.astype(np.float64).reshape(4, 4).T
         return picking.gizmo_delta(handle, start, self._present), True
+
+
+def _round_step(length_m: float) -> float:
+    """Return the largest length of a ruler (1, 2 or 5 times a power of ten) that is not longer."""
+    power = 10.0 ** np.floor(np.log10(length_m))
+    return max(each for each in (1.0, 2.0, 5.0) if each * power <= length_m * 1.001) * power
 
 
 @contextmanager

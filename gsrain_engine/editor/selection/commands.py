@@ -15,6 +15,8 @@ from .candidates import Found, Mode
 from .screen import DepthMode, Depths
 from .volume import Sphere, near_selection
 
+_DISTANCE_SHARE = 1 / 200  # of the distance of the orbit's pivot: 0.1 m in a street
+
 
 @dataclass(slots=True, eq=False)
 class SelectionTool:
@@ -33,7 +35,7 @@ class SelectionTool:
     flood_reach: float = 2.0
     """In spacings of the Gaussians."""
     distance_m: float = 0.1
-    """Distance to grow and shrink by."""
+    """Distance to grow and shrink by, and `depth_m` follow the size of the scene at first, see `fit`."""
     attribute: str = "opacity"
     range: tuple[float, float] | None = None
     """Range of the attribute, in its unit; None until the user has chosen one."""
@@ -47,6 +49,11 @@ class SelectionTool:
     box: CropBox | None = None
     """Box that is placed but not yet applied."""
     histogram: AttributeHistogram = field(default_factory=AttributeHistogram)
+
+    def fit(self, pivot_m: float) -> None:
+        """Begin in another scene, with lengths that fit its size; `pivot_m` is the distance of the orbit's pivot."""
+        self.ball = self.box = None
+        self.depth_m, self.distance_m = (float(f"{share * pivot_m:.1g}") for share in (1.0, _DISTANCE_SHARE))
 
     @property
     def reach(self) -> DepthMode:
