@@ -184,6 +184,8 @@ def status_bar(editor: Editor) -> None:
         imgui.push_clip_rect(low, high, True)
         imgui.text_disabled(f"   {hint}")
         imgui.pop_clip_rect()
+        if imgui.get_item_rect_max().x > high[0]:
+            imgui.set_item_tooltip(hint)
     if room < fps_at:
         imgui.same_line(room)
         job_tray(editor.viewport, editor.jobs)

@@ -88,11 +88,13 @@ class Workspace:
         return windows
 
     def _noting_visible(self, title: str, draw: Callable[[], object]) -> Callable[[], None]:
-        """Return a panel's drawing that notes that the panel is in front."""
+        """Return a panel's drawing that notes that the panel is in front, and wraps its text."""
 
         def draw_and_note() -> None:
             self._drawn.add(title)
+            imgui.push_text_wrap_pos(0.0)  # no words are cut at the panel's edge
             draw()
+            imgui.pop_text_wrap_pos()
 
         return draw_and_note
 

@@ -65,7 +65,9 @@ def _head(captures: CaptureController, capture: Capture) -> None:
     # Long names of drives are clipped at the button.
     imgui.push_clip_rect(at, ImVec2(at.x + room, at.y + imgui.get_frame_height()), True)
     imgui.align_text_to_frame_padding()
+    imgui.push_text_wrap_pos(-1.0)
     imgui.text(capture.name)
+    imgui.pop_text_wrap_pos()
     imgui.pop_clip_rect()
     imgui.set_item_tooltip(f"{capture.name}\n{captures.path}")
     imgui.same_line(imgui.get_cursor_pos_x() + imgui.get_content_region_avail().x - width)

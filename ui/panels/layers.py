@@ -50,6 +50,7 @@ def layers_panel(document: Document, viewport: ViewportState, files: Files) -> N
     _state.marked = [key for key in _state.marked if any(each.key == key for each in scene.members)]
     if imgui.begin_table("members", 4, imgui.TableFlags_.row_bg | imgui.TableFlags_.sizing_fixed_fit):
         icon = _ICON_EM * imgui.get_font_size()
+        imgui.push_text_wrap_pos(-1.0)  # columns fit their words
         imgui.table_setup_column("shown", imgui.TableColumnFlags_.width_fixed, icon)
         imgui.table_setup_column("locked", imgui.TableColumnFlags_.width_fixed, icon)
         imgui.table_setup_column("name", imgui.TableColumnFlags_.width_stretch)
@@ -62,6 +63,7 @@ def layers_panel(document: Document, viewport: ViewportState, files: Files) -> N
                 is_open = imgui.tree_node_ex(title, flags | imgui.TreeNodeFlags_.label_span_all_columns)
                 for member in members if is_open else ():
                     _row(document, viewport, member)
+        imgui.pop_text_wrap_pos()
         imgui.end_table()
     if chosen is not None:
         _opacity(document, chosen)

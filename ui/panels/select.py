@@ -9,9 +9,18 @@ from gsrain_engine.editor.selection.candidates import Mode, selectable_count, se
 from gsrain_engine.editor.selection.commands import SelectionTool, unused_set_name
 from gsrain_engine.editor.viewport_state import ViewportState
 
-from ..widgets.fields import LOGARITHMIC, button, checkbox, combo, disabled, share_of_width
+from ..widgets.fields import (
+    LOGARITHMIC,
+    button,
+    checkbox,
+    combo,
+    disabled,
+    same_line_if_fits,
+    same_line_if_room,
+    share_of_width,
+)
 from ..widgets.numbers import slide
-from ..widgets.text import label
+from ..widgets.text import inline_text, label
 
 _SET_HELP: dict[Mode, tuple[str, str]] = {
     "set": (icons_fontawesome_6.ICON_FA_ARROW_POINTER, "Select the Gaussians of this set."),
@@ -48,7 +57,7 @@ def _buttons(viewport: ViewportState, selection: SelectionTool, is_selected: boo
     imgui.same_line()
     if button("Invert", "Select all visible Gaussians that were not selected (Ctrl+I)."):
         selection.invert()
-    imgui.same_line()
+    same_line_if_fits("Highlight", imgui.get_frame_height())
     help_text = "Tint the selected Gaussians (Shift+S)."
     viewport.options.show_selection = checkbox("Highlight", viewport.options.show_selection, help_text)
     if button("Grow", "Add Gaussians within this distance of the selection (Ctrl+]).", enabled=is_selected):
@@ -56,10 +65,8 @@ def _buttons(viewport: ViewportState, selection: SelectionTool, is_selected: boo
     imgui.same_line()
     if button("Shrink", "Deselect Gaussians within this distance of unselected ones (Ctrl+[).", enabled=is_selected):
         selection.shrink()
-    imgui.same_line()
-    imgui.align_text_to_frame_padding()
-    imgui.text("by")
-    imgui.same_line()
+    same_line_if_room(8.0)
+    inline_text("by")
     imgui.set_next_item_width(-1)
     _, selection.distance_m = slide("##distance_m", selection.distance_m, 0.001, 10.0, "%.3g m", LOGARITHMIC, unit="m")
     imgui.set_item_tooltip("Distance between centers in meters. Double click: type.")
@@ -82,11 +89,13 @@ def _selection_sets(document: Document, selection: SelectionTool, is_selected: b
         imgui.text_disabled("No sets yet: save a selection.")
         return
     if imgui.begin_table("sets", 3, imgui.TableFlags_.row_bg | imgui.TableFlags_.sizing_fixed_fit):
+        imgui.push_text_wrap_pos(-1.0)  # columns fit their words
         imgui.table_setup_column("name", imgui.TableColumnFlags_.width_stretch)
         for number, (name, masks) in enumerate(document.scene.selections.items()):
             imgui.push_id(number)
             _row(selection, name, sum(mask.size for mask in masks.values()))
             imgui.pop_id()
+        imgui.pop_text_wrap_pos()
         imgui.end_table()
 
 

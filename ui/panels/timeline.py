@@ -378,7 +378,11 @@ def _playhead(playback: Playback, corner: ImVec2, width: float, height: float, *
 
 _ROW_EM = 1.35
 _DOT_PX = 4.0
-_HINT = "No keyframes yet: find a view, press K; move on in time, find another view, press K."
+_HINTS = (
+    "No keyframes yet: find a view, press K; move on in time, find another view, press K.",
+    "No keyframes yet: press K.",
+)
+"""What an empty row says, and in fewer words where that has no room."""
 
 
 def _rows(editor: Editor, titles: float, width: float) -> None:
@@ -420,7 +424,8 @@ def _camera_row(editor: Editor, titles_px: float, width: float) -> None:
     corner, height = _begin_row("camera", "Keyframes of the camera path.", titles_px, width)
     if (path := editor.document.scene.path) is None:
         place = ImVec2(corner.x + 32, corner.y + 0.12 * height)
-        imgui.get_window_draw_list().add_text(place, color(hues.DIM), _HINT)
+        words = _HINTS[imgui.calc_text_size(_HINTS[0]).x > width - 32]
+        imgui.get_window_draw_list().add_text(place, color(hues.DIM), words)
     else:
         _bar(playback, corner, height, (path.start_s, path.end_s), hues.FLIGHT, 0.4)
         for span_s in speed_of(editor.viewport.path).implausible_spans:
