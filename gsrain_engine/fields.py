@@ -259,6 +259,13 @@ def number_text(number: float) -> str:
     return f"{number:.10f}".rstrip("0").rstrip(".")
 
 
+def short_number(number: float, digits: int = 3) -> str:
+    """Return a finite number in a few digits, with all of those before the point: 65,960, 0.918 and 0.00005."""
+    if abs(number) >= 10 ** (digits - 1):
+        return f"{number:,.0f}"
+    return number_text(float(f"{number:.{digits}g}")) or "0"
+
+
 def _read(field: Any, hint: Any) -> Field:
     kind, metas = _unwrapped(hint)
     extra = {key: value for meta in reversed(metas) for key, value in (meta.extra or {}).items()}

@@ -152,7 +152,7 @@ def _place_volumes(driver):
         shares.append(size_m * camera.fy / depth_m / height_px)
     assert shares == pytest.approx([0.2, 0.2], abs=0.03)
     radius_m = driver.editor.viewport.core.radius_m
-    assert 1e-3 < options.distance_m / radius_m < 2e-2 and 0.2 < options.depth_m / radius_m < 2
+    assert 1e-3 < options.distance_m / radius_m < 2e-2 and 0.2 < options.depth_m / radius_m < 3
 
 
 def test_a_range_dragged_over_the_histogram_selects(driver):

@@ -1,8 +1,11 @@
-"""Words in the window: none are cut at the edge of their panel."""
+"""Words in the window: none are cut at the edge of their panel, and numbers are written as people write them."""
 
 import pytest
 
+from gsrain_engine.fields import short_number
+from gsrain_engine.scene.progress import figure_text
 from ui.panels.registry import BUILT_IN_PANELS
+from ui.widgets.numbers import plain_form
 from window_driver import imgui
 
 _DRAWING = ("text", "text_disabled", "text_colored", "text_unformatted", "button", "checkbox", "radio_button")
@@ -42,3 +45,17 @@ def test_no_words_are_cut_at_the_edge_of_a_panel(driver, cut):
         found |= {panel.title: set(cut)} if cut else {}
     assert not driver.window.workspace.folded.hidden
     assert found == {}
+
+
+def test_numbers_have_units_and_no_exponents():
+    figures = {"gaussians": 65960.0, "seconds per frame": 0.91784, "loss": 0.01234, "residual": 5.2e-5}
+    assert [figure_text(*each) for each in figures.items()] == [
+        "65,960 Gaussians", "0.918 s per frame", "loss 0.0123", "residual 0.000052",
+    ]  # fmt: skip
+    assert figure_text("psnr_held_out_db", 27.3149) == "held-out views 27.3 dB"
+    assert figure_text("cycle_clear", float("nan")) == "cycle clear not finite"
+    assert [short_number(each) for each in (0.0, -0.5, 99.6, 999.6, 1e7, -65960.4)] == [
+        "0", "-0.5", "99.6", "1,000", "10,000,000", "-65,960",
+    ]  # fmt: skip
+    numbers = (0.0, 5e-5, 1234.56, 9999.4, 65960.123, 1e7)
+    assert [plain_form(each) % each for each in numbers] == ["0", "0.00005000", "1235", "9999", "65960", "10000000"]

@@ -9,7 +9,7 @@ from imgui_bundle import ImVec2, ImVec4, imgui
 from gsrain_engine.editor.jobs.job import Job, JobRunner
 from gsrain_engine.editor.status import LogLine, StatusBus
 from gsrain_engine.editor.viewport_state import ViewportState
-from gsrain_engine.scene.progress import duration_text
+from gsrain_engine.scene.progress import duration_text, figure_text
 
 from ..widgets.draw import line, plot
 from ..widgets.fields import WARNING, button, combo, faint, warn
@@ -79,7 +79,8 @@ def job_fields(viewport: ViewportState, jobs: JobRunner, job: Job[Any]) -> None:
 def _metrics(job: Job[Any]) -> None:
     """Draw the job's plots, and the other metrics of its latest step as numbers."""
     plotted = {name for names in job.plots.values() for name in names}
-    numbers = [f"{name} {value:,.4g}" for name, value in job.progress.metrics.items() if name not in plotted | {"step"}]
+    figures = job.progress.metrics.items()
+    numbers = [figure_text(name, value) for name, value in figures if name not in plotted | {"step"}]
     if numbers:
         imgui.text_wrapped(", ".join(numbers))
     for title, names in job.plots.items():

@@ -19,7 +19,7 @@ from ..widgets.fields import (
     same_line_if_room,
     share_of_width,
 )
-from ..widgets.numbers import slide
+from ..widgets.numbers import plain_form, slide
 from ..widgets.text import inline_text, label
 
 _SET_HELP: dict[Mode, tuple[str, str]] = {
@@ -242,7 +242,7 @@ def _numbers(name: str, histogram: Histogram, low: float, high: float) -> tuple[
     unit = f" {ATTRIBUTES[name].unit}".rstrip()
     imgui.set_next_item_width(-1)
     changed, typed_low, typed_high = imgui.drag_float_range2(
-        "##range", low, high, speed, 0.0, 0.0, f"from %.4g{unit}", f"to %.4g{unit}"
+        "##range", low, high, speed, 0.0, 0.0, f"from {plain_form(low)}{unit}", f"to {plain_form(high)}{unit}"
     )
     imgui.set_item_tooltip(
         "The range in the attribute's unit; Ctrl+click to type. At an outer edge of the plot it is unbounded."

@@ -382,7 +382,7 @@ _HINTS = (
     "No keyframes yet: find a view, press K; move on in time, find another view, press K.",
     "No keyframes yet: press K.",
 )
-"""What an empty row says, and in fewer words where that has no room."""
+"""Words of an empty row, and shorter ones for where they have no room."""
 
 
 def _rows(editor: Editor, titles: float, width: float) -> None:

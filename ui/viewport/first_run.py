@@ -11,6 +11,7 @@ from gsrain_engine.choices import Axis
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.edits.level import set_ground_height
 from gsrain_engine.editor.scene_setup import SETUP_MM_H
+from gsrain_engine.fields import short_number
 
 from ..commands.table import command_named
 from ..widgets.fields import button
@@ -145,7 +146,7 @@ def draw_setup_bar(editor: Editor, corner: ImVec2, left: float, width: int, top:
             imgui.end_combo()
         imgui.set_item_tooltip("Axis of the file that points up.")
         _next(end, 11 * em)
-        _caption(f"1 unit = {scene.metres_per_unit:.3g} m{' ?' if scene.unit_is_assumed else ''}")
+        _caption(f"1 unit = {short_number(scene.metres_per_unit)} m{' ?' if scene.unit_is_assumed else ''}")
         if button("Measure...###measure", "Click the two ends of a known length, and type how long it truly is."):
             viewport.options.tool = "" if viewport.options.tool == "Measure" else "Measure"
         _next(end, 11 * em)

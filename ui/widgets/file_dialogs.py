@@ -16,7 +16,7 @@ from imgui_bundle import ImVec2, icons_fontawesome_6, imgui
 from imgui_bundle import portable_file_dialogs as desktop
 
 from gsrain_engine.editor.status import StatusBus
-from gsrain_engine.fields import field_of
+from gsrain_engine.fields import field_of, short_number
 from gsrain_engine.scene.formats.registry import writable_suffixes
 from gsrain_engine.scene.formats.scene_folder import SCENE_FILE
 
@@ -276,7 +276,7 @@ def size_text(size: int) -> str:
     if size < 1000:
         return f"{size} B"
     power = min(int(math.log10(size) / 3 + 1e-4), 4)  # 999.8 kB are 1 MB
-    return f"{size / 1000**power:.3g} {('B', 'kB', 'MB', 'GB', 'TB')[power]}"
+    return f"{short_number(size / 1000**power)} {('B', 'kB', 'MB', 'GB', 'TB')[power]}"
 
 
 _NAME, _SIZE, _MODIFIED = range(3)  # columns

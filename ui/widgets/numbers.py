@@ -11,6 +11,7 @@ from gsrain_engine.fields import number_text
 from .draw import color
 
 _LEFT, _RIGHT = imgui.MouseButton_.left, imgui.MouseButton_.right
+_FOUR_DIGITS = "%.4g"
 _LOG = int(imgui.SliderFlags_.logarithmic)
 _LOG_ZERO = 1e-4
 """ImGui's smallest value above 0 on a logarithmic scale from 0 on, for four digits."""
@@ -25,6 +26,12 @@ def typed_seconds(name: str, value: float) -> float | None:
     return storage.get_float(item, value) if imgui.is_item_deactivated_after_edit() else None
 
 
+def plain_form(value: float) -> str:
+    """Return the format of a number in four digits without an exponent."""
+    power = math.floor(math.log10(abs(value))) if value else 0
+    return _FOUR_DIGITS if -4 <= power < 4 else f"%.{max(3 - power, 0)}f"
+
+
 # Sliders
 
 
@@ -33,7 +40,7 @@ def slide(
     value: float,
     low: float,
     high: float,
-    form: str = "%.4g",
+    form: str = _FOUR_DIGITS,
     flags: int = 0,
     *,
     bounds: tuple[float, float] | None = None,
@@ -44,7 +51,8 @@ def slide(
     A drag sets the value; a double click, or Ctrl+click, types one. What is typed may leave the slider's scale up to
     `bounds`; beyond these it becomes the bound, which appears next to the slider for a moment, in `unit`.
     """
-    text = form % value if "%" in form.replace("%%", "") else form
+    shown = plain_form(value) if form == _FOUR_DIGITS else form
+    text = shown % value if "%" in shown.replace("%%", "") else shown
     with _value_next_to_knob(name, text, _knob_share(value, low, high, bool(flags & _LOG))) as is_typing:
         changed, new = imgui.slider_float(name, value, low, high, form, flags & _LOG)
     return _edited(changed, new, value, bounds or (low, high), unit, is_typing)
