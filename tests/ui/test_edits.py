@@ -103,3 +103,8 @@ def test_a_face_of_the_crop_box_is_dragged_and_applied(driver):
     wall = editor.document.scene.member(WALL)
     assert np.all(wall.marks.deleted.flags[wall.gaussians.means[:, 2] > smaller.face_m(2, True)[2]])
     assert editor.document.scene.member("layers/sky").marks.deleted is None
+    driver.ctx.mouse_move(f"{driver.panel('Edit')}###purge")
+    driver.frames(4)  # with its tooltip, which lists the steps
+    driver.tap("//Edit/###purge")
+    assert editor.document.history.labels[-1] == "Purge deleted"
+    assert editor.document.scene.member(WALL).marks.deleted is None

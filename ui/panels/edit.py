@@ -79,12 +79,21 @@ def _selection(document: Document) -> None:
     imgui.same_line()
     if button("Show all", "Draw all hidden Gaussians (Shift+H).", width=half, enabled=has_hidden):
         document.edit("Show all", gaussians.show_all)
-    help_text = (
-        "Remove deleted Gaussians from memory; files get smaller. Frames hardly get faster, since deleted\n"
-        "Gaussians are not drawn. Undo restores them."
-    )
-    if deleted and button(f"Purge {deleted:,} deleted", help_text, width=-1):
+    if deleted and button(f"Purge {deleted:,} Gaussians###purge", "", width=-1):
         document.edit("Purge deleted", gaussians.compact)
+    if deleted and imgui.is_item_hovered(imgui.HoveredFlags_.for_tooltip):
+        imgui.set_tooltip(_purge_help(document))
+
+
+def _purge_help(document: Document) -> str:
+    """List by step what *Purge* would remove: a crop deletes, too, and what was separated is a copy."""
+    steps = document.history.steps[: document.history.cursor + 1]
+    found = gaussians.deletions((each.label, each.document.scene) for each in steps)
+    rows = "".join(f"\n    {count:,}: {label}" for label, count in found)
+    return (
+        "Remove from memory and files the Gaussians that are no longer in the picture, but are there for undo:"
+        f"{rows}\nFrames hardly get faster, since they are not drawn. Undo restores them."
+    )
 
 
 def _member(document: Document, viewport: ViewportState, playback: Playback, member: Layer | Actor) -> None:

@@ -1,6 +1,6 @@
 """Edits of the selected Gaussians: delete, hide, isolate, crop, and compaction. Only compaction copies arrays."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -146,6 +146,23 @@ def crop(scene: Scene, box: CropBox) -> Scene:
 def deleted_count(scene: Scene) -> int:
     masks = [each.marks.deleted for each in scene.members]
     return sum(mask.size for mask in masks if mask is not None)
+
+
+def deletions(steps: Iterable[tuple[str, Scene]]) -> list[tuple[str, int]]:
+    """Return the numbers of Gaussians that are marked as deleted after some steps, by the steps that have marked them.
+
+    `steps` are labels with the scene after each, the opened one first.
+    """
+    found, before = list[tuple[str, int]](), 0
+    for label, scene in steps:
+        count = deleted_count(scene)
+        if count > before:
+            found.append((label, count - before))
+        while count < sum(size for _, size in found):  # purged, merged or removed: the oldest first
+            (first, size), over = found[0], sum(size for _, size in found) - count
+            found[:1] = [(first, size - over)] if size > over else []
+        before = count
+    return found
 
 
 def compact(scene: Scene) -> Scene:

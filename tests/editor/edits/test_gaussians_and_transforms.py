@@ -12,17 +12,31 @@ from gsrain_engine.editor.edits.gaussians import (
     compact,
     crop,
     delete_selected,
+    deleted_count,
+    deletions,
     hide_selected,
     isolate_selected,
     selected_count,
     show_all,
 )
+from gsrain_engine.editor.edits.layers import separate
 from gsrain_engine.editor.edits.transform import Pose, layer_pose, move_selected, pivot, preview_move, set_layer_pose
 from gsrain_engine.scene.flags import BitMask
 from gsrain_engine.scene.scene import Scene
 from gsrain_engine.scene.transforms import transform_gaussians
 
 from .edited_scene import assert_same, edited_scene, flattened, turned, with_selection, without
+
+
+def test_deletions_are_listed_by_the_step_that_made_them_until_they_are_purged():
+    opened = delete_selected(with_selection(edited_scene(), ground=5))
+    deleted = delete_selected(with_selection(opened, ground=9))
+    separated = separate(with_selection(deleted, house=4))
+    steps = [("Opened", opened), ("Delete 4", deleted), ("Hide", deleted), ("Separate", separated)]
+    found = deletions(steps)
+    assert [label for label, _ in found] == ["Opened", "Delete 4", "Separate"]
+    assert sum(count for _, count in found) == deleted_count(separated) and dict(found)["Separate"] == 4
+    assert deletions([*steps, ("Purge", compact(separated))]) == []
 
 
 def test_compacting_keeps_the_picture_and_remaps_marks_and_sets():
