@@ -65,7 +65,7 @@ class RenderQueue:
         self._settings = _stored_settings(preferences.value.recording)
         self._playback.timeline.fps = self._settings.fps
         self.follows_range = preferences.value.records_range
-        """True if the first and the last moment are those of the timeline's range, where it is set."""
+        """True if the first and the last moment are those of the timeline's range."""
         self._timed: list[tuple[Job[Any], float]] = []
         self.preview: UInt8[np.ndarray, "h w c"] | None = None
         """Last previewed frame, as it would be written."""
@@ -73,11 +73,11 @@ class RenderQueue:
 
     @property
     def settings(self) -> ExportSettings:
-        """Settings except for the output path. The frame rate is the timeline's, and so may be the times."""
-        fields: dict[str, Any] = {"fps": self._playback.timeline.fps}
-        if self.follows_range and (span_s := self._playback.clock.span_s) is not None:
-            fields |= {"first_s": span_s[0], "last_s": span_s[1]}
-        return msgspec.structs.replace(self._settings, **fields)
+        """Settings except for the output path. The frame rate is the timeline's, and so are times not set here."""
+        own, fps, (first_s, last_s) = self._settings, self._playback.timeline.fps, self._playback.span_s
+        if not self.follows_range:
+            first_s, last_s = own.first_s, max(last_s, own.first_s + 1 / fps) if own.last_s is None else own.last_s
+        return msgspec.structs.replace(own, fps=fps, first_s=first_s, last_s=last_s)
 
     def poll(self) -> None:
         """Put settings that have changed into the preferences. Once a frame."""
@@ -89,12 +89,6 @@ class RenderQueue:
         now, before = (changed, self.follows_range), self._preferences.value
         if now != (before.recording, before.records_range):
             self._preferences.set(recording=changed, records_range=self.follows_range)
-
-    @property
-    def end_s(self) -> float:
-        """End of the clip in seconds; its start if there is nothing to record."""
-        extent = self.extent()
-        return self.settings.first_s + (0.0 if isinstance(extent, str) else extent.length_s)
 
     def proposed_name(self, suffix: str | None = None) -> str:
         """Name of a recording's file or folder: the scene's, with a suffix or that of the chosen format."""

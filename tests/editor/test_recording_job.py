@@ -3,6 +3,7 @@
 import shlex
 import shutil
 from contextlib import closing
+from dataclasses import replace
 
 import av
 import numpy as np
@@ -14,7 +15,7 @@ from editor.files.open_document import settle
 from gsrain_engine.editor.autosave import saved_scene
 from gsrain_engine.editor.drawing.frame import DrawnImage, DrawResult
 from gsrain_engine.editor.editor import Editor
-from gsrain_engine.editor.edits.members import set_path
+from gsrain_engine.editor.edits.members import replace_scene, set_path
 from gsrain_engine.editor.jobs.job import JobError
 from gsrain_engine.editor.viewport.options import FULL_QUALITY
 from gsrain_engine.rain.settings import RainSettings
@@ -63,10 +64,26 @@ def test_the_estimate_is_of_the_last_picture_that_a_recording_would_draw_as_well
 def test_the_ends_of_a_recording_are_those_of_the_timelines_range(editor):
     editor.document.edit("Fly", set_path, FLIGHT)
     queue, clock = editor.render_queue, editor.playback.clock
+
+    def ends():
+        return queue.settings.first_s, queue.settings.last_s
+
     queue.change(first_s=0.5, last_s=0.7)
-    assert (queue.settings.first_s, queue.end_s) == pytest.approx((0.5, 0.7))
+    assert ends() == pytest.approx((0.5, 0.7))
     queue.follows_range, clock.span_s = True, (1.0, 1.8)
-    assert (queue.settings.first_s, queue.end_s) == pytest.approx((1.0, 1.8))
+    assert ends() == pytest.approx((1.0, 1.8))
+
+
+@pytest.mark.parametrize("flight", [None, FLIGHT])
+@pytest.mark.parametrize("follows", [True, False])
+@pytest.mark.parametrize("ego", [True, False])
+def test_a_recording_ends_with_the_timeline_whatever_that_plays(editor, flight, follows, ego):
+    scene = editor.document.scene if ego else replace(editor.document.scene, ego=None, actors=())
+    editor.document.edit("Fly", replace_scene, replace(scene, path=flight))
+    editor.render_queue.follows_range = follows
+    extent, settings = editor.render_queue.extent(), editor.render_queue.settings
+    assert settings.last_s == editor.playback.span_s[1]
+    assert extent.length_s == pytest.approx(settings.last_s - settings.first_s, abs=1 / 30)
 
 
 @pytest.mark.parametrize(("codec", "output", "count"), [("h264", "clip.mp4", 1 + 6 + 1), ("png", "clip", 2 * 6 + 1)])

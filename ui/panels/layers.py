@@ -97,7 +97,9 @@ def _row(document: Document, viewport: ViewportState, member: Layer | Actor) -> 
     imgui.set_cursor_pos_x(imgui.get_cursor_pos_x() + max(room, 0.0))
     imgui.text_disabled(words)
     if deleted:
-        imgui.set_item_tooltip(f"{deleted:,} more were deleted, cropped or separated; they stay in the scene folder for undo until they are purged.")
+        imgui.set_item_tooltip(
+            f"{deleted:,} more were deleted, cropped or separated; the scene folder has them for undo until a purge."
+        )
 
 
 def _icon(icon: str, name: str, help_text: str, *, bright: bool) -> bool:

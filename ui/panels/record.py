@@ -9,7 +9,6 @@ from gsrain_engine.editor.recorder import RenderQueue
 from gsrain_engine.editor.status import StatusBus
 from gsrain_engine.editor.timeline import Playback
 from gsrain_engine.fields import field_of
-from gsrain_engine.render.export import LONGEST_DEFAULT_S
 from gsrain_engine.render.export_settings import (
     DEFAULT_JPEG_QUALITY,
     DEFAULT_QUALITY,
@@ -270,35 +269,26 @@ def _cameras(document: Document, render_queue: RenderQueue) -> None:
 
 def _times(render_queue: RenderQueue, playback: Playback) -> None:
     settings = render_queue.settings
-    help_text = "Record the timeline's range, where its ends were dragged; else from and to below."
+    help_text = "Record what the timeline plays; From and To below end that."
     if (follows := checkbox("Timeline range", render_queue.follows_range, help_text)) != render_queue.follows_range:
         render_queue.follows_range = follows
-    if follows and playback.clock.span_s is not None:
+    if follows:
         imgui.same_line()
-        start, end = playback.clock.span_s
+        start, end = playback.span_s
         imgui.text_disabled(f"{start:.2f} to {end:.2f} s")
     field_label("fps", ExportSettings)
     changed, fps = imgui.input_float("##fps", settings.fps, 0.0, 0.0, "%.6g")
     if changed:
         render_queue.change(fps=min(max(fps, 0.1), 1000.0))
     field_label("first_s", ExportSettings)
-    changed, first_s = imgui.drag_float("##first_s", settings.first_s, 0.02, -36000.0, 36000.0, "%.3f")
-    if changed and (settings.last_s is None or first_s < settings.last_s):
+    changed, first_s = imgui.drag_float("##first_s", settings.first_s, 0.02, -36000.0, 36000.0, "%.2f s")
+    end_s = settings.last_s or 0.0
+    if changed and first_s < end_s:
         render_queue.change(first_s=first_s)
     field_label("last_s", ExportSettings)
-    imgui.set_next_item_width(-_CHECKBOX_EM * imgui.get_font_size())
-    is_whole, end_s = settings.last_s is None, render_queue.end_s
-    with disabled(is_whole):
-        changed, last_s = imgui.drag_float("##last_s", end_s, 0.02, settings.first_s + 1e-3, 36000.0, "%.3f")
+    changed, last_s = imgui.drag_float("##last_s", end_s, 0.02, settings.first_s + 1e-3, 36000.0, "%.2f s")
     if changed and last_s > settings.first_s:
         render_queue.change(last_s=last_s)
-    imgui.same_line()
-    help_text = (
-        "Record until the camera path or the rig's drive ends. "
-        f"Without keyframes of your own, a recording has at most {LONGEST_DEFAULT_S:g} s."
-    )
-    if checkbox("Path end###its end", is_whole, help_text) != is_whole:
-        render_queue.change(last_s=end_s if is_whole else None)
 
 
 def _passes(render_queue: RenderQueue) -> None:

@@ -45,7 +45,8 @@ def test_record_settings_of_another_version_are_left_out(sessions):
     save_preferences(recording={"codec": "vp9", "sharpness": 3})
     assert sessions().render_queue.settings.codec == "vp9"
     save_preferences(recording={"codec": "mpeg2"})
-    assert sessions().render_queue.settings == _DEFAULT
+    settings = sessions().render_queue.settings
+    assert msgspec.structs.replace(settings, last_s=None) == _DEFAULT
 
 
 @pytest.mark.parametrize("text", ["theme: [", "theme: pink", "- 1", "\x00"])
