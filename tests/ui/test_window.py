@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from imgui_bundle import implot
 from PIL import Image
 
 from gsrain_engine.scene.formats.scene_files import write_scene
@@ -166,6 +167,40 @@ def test_calibration_and_disdrometer_panels_measure_the_rain(driver):
     driver.frames()
     assert driver.editor.live_rain.simulation.calibration.name == "marshall_palmer"
     assert driver.editor.document.history.undo_label == "Calibration"
+
+
+def test_a_calibration_has_one_color_in_all_plots_and_each_plot_of_two_has_a_legend(driver, monkeypatch):
+    hues, legends, begin = {}, [], implot.begin_plot
+
+    def noting(draw):
+        def noted(label, *arguments, **options):
+            draw(label, *arguments, **options)
+            hues.setdefault(label, []).append(tuple(implot.get_last_item_color()))
+
+        return noted
+
+    def begin_plot(title, size, flags):
+        legends.append(not flags & implot.Flags_.no_legend)
+        return begin(title, size, flags)
+
+    driver.panel("Calibration")
+    driver.editor.calibration.compare("marshall_palmer")
+    driver.frames()
+    for name in ("plot_line", "plot_scatter"):
+        monkeypatch.setattr(implot, name, noting(getattr(implot, name)))
+    monkeypatch.setattr(implot, "begin_plot", begin_plot)
+    window = imgui.internal.find_window_by_name("Calibration")
+    for place in (0, 300, 600, 900, 1200):
+        imgui.internal.set_scroll_y(window, place)
+        driver.frames()
+    assert set(hues) == {"published", "marshall_palmer"} and len(hues["marshall_palmer"]) > 5
+    assert len({*hues["published"]}) == len({*hues["marshall_palmer"]}) == 1
+    assert hues["published"][0] != hues["marshall_palmer"][0] and all(legends)
+    imgui.internal.set_scroll_y(window, 0)
+    driver.frames()
+    driver.editor.calibration.compare("published")
+    driver.frames()
+    assert not any(legends[-5:])  # of the five plots, with one calibration
 
 
 def test_the_rain_panel_chooses_a_sensor_and_replaces_its_aperture(driver):

@@ -1,6 +1,8 @@
 """Calibration and Disdrometer panels: fit and comparison of rain calibrations, and a virtual disdrometer."""
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from imgui_bundle import imgui, implot
@@ -11,7 +13,7 @@ from gsrain_engine.editor.document import Document
 from gsrain_engine.editor.live_rain import LiveRain
 from gsrain_engine.editor.rain import CalibrationTools
 from gsrain_engine.rain.calibration import Calibration
-from gsrain_engine.rain.properties import calibration_curves, spectrum_at
+from gsrain_engine.rain.properties import CalibrationCurves, calibration_curves, spectrum_at
 
 from ..widgets.draw import line, plot, points
 from ..widgets.fields import LOGARITHMIC, button, combo, number, plain_label, warn
@@ -31,11 +33,9 @@ def calibration_panel(document: Document, live_rain: LiveRain, calibration: Cali
     _choose(document, calibration)
     imgui.text_wrapped(own.source)
     _fit(calibration)
-    compared = {own.name: own}
-    if calibration.fitted is not None:
-        compared.setdefault(calibration.fitted.calibration.name, calibration.fitted.calibration)
-    compared.setdefault(calibration.pass_file.name, calibration.pass_file)
-    _plots(document, compared, calibration.fitted)
+    fitted = calibration.fitted
+    compared = _series((own, calibration.pass_file, None if fitted is None else fitted.calibration))
+    _plots(document, compared, fitted)
 
 
 def _choose(document: Document, calibration: CalibrationTools) -> None:
@@ -86,38 +86,62 @@ def _fitted(calibration: CalibrationTools, fitted: FittedCalibration) -> None:
         calibration.use_fitted()
 
 
-def _plots(document: Document, compared: dict[str, Calibration], fitted: FittedCalibration | None) -> None:
-    curves = {name: calibration_curves(each) for name, each in compared.items()}
-    with plot("Number density", "mm/h", "drops per m\u00b3", log_x=True, log_y=True, legend=True) as is_visible:
-        for series, (name, each) in enumerate(compared.items() if is_visible else ()):
-            line(name, curves[name].intensities_mm_h, curves[name].density_m3)
-            points(name, _of_rows(each, "intensity_mm_h"), _of_rows(each, "density_m3"), series)
-    with plot("Mean diameter", "mm/h", "mm", log_x=True) as is_visible:
-        for series, (name, each) in enumerate(compared.items() if is_visible else ()):
-            line(name, curves[name].intensities_mm_h, curves[name].mean_diameter_mm)
-            means_mm = _of_rows(each, "shape") * _of_rows(each, "scale_mm")
-            points(name, _of_rows(each, "intensity_mm_h"), means_mm, series)
+class _Series(NamedTuple):
+    """A calibration in the plots, in the color of its number in all of them."""
+
+    number: int
+    calibration: Calibration
+    curves: CalibrationCurves
+
+
+_MEASURED = 3
+"""Number of the measured drops; those of calibrations are before it."""
+
+
+def _series(calibrations: Sequence[Calibration | None]) -> dict[str, _Series]:
+    """Return what is compared by name: each has the number of its first place, whatever else is there."""
+    found = dict[str, _Series]()
+    for place, each in enumerate(calibrations):
+        if each is not None and each.name not in found:
+            found[each.name] = _Series(place, each, calibration_curves(each))
+    return found
+
+
+def _plots(document: Document, compared: Mapping[str, _Series], fitted: FittedCalibration | None) -> None:
+    several = len(compared) > 1
+    with plot("Number density", "mm/h", "drops per m\u00b3", log_x=True, log_y=True, legend=several) as is_visible:
+        for name, each in compared.items() if is_visible else ():
+            line(name, each.curves.intensities_mm_h, each.curves.density_m3, each.number)
+            rows = each.calibration
+            points(name, _of_rows(rows, "intensity_mm_h"), _of_rows(rows, "density_m3"), each.number)
+    with plot("Mean diameter", "mm/h", "mm", log_x=True, legend=several) as is_visible:
+        for name, each in compared.items() if is_visible else ():
+            line(name, each.curves.intensities_mm_h, each.curves.mean_diameter_mm, each.number)
+            means_mm = _of_rows(each.calibration, "shape") * _of_rows(each.calibration, "scale_mm")
+            points(name, _of_rows(each.calibration, "intensity_mm_h"), means_mm, each.number)
     middles = None if fitted is None else 0.5 * (fitted.diameter_edges_mm[:-1] + fitted.diameter_edges_mm[1:])
     intensity = document.rain.intensity_mm_h or 8.5
     title = f"Spectrum at {intensity:.3g} mm/h###spectrum"
-    with plot(title, "mm", "N(D) per m\u00b3 and mm", log_y=True) as is_visible:
+    legend = several or fitted is not None
+    with plot(title, "mm", "N(D) per m\u00b3 and mm", log_y=True, legend=legend) as is_visible:
         for name, each in compared.items() if is_visible else ():
-            spectrum = spectrum_at(each, intensity)
+            spectrum = spectrum_at(each.calibration, intensity)
             there = spectrum > _FAINTEST
-            line(name, curves[name].diameters_mm[there], spectrum[there])
+            line(name, each.curves.diameters_mm[there], spectrum[there], each.number)
         if is_visible and fitted is not None and middles is not None:
             nearest = min(fitted.rows, key=lambda row: abs(np.log(row.row.intensity_mm_h / intensity)))
             there = nearest.spectrum_m3_mm > _FAINTEST
             name = f"measured at {nearest.row.intensity_mm_h:.3g} mm/h"
-            points(name, middles[there], nearest.spectrum_m3_mm[there])
-    with plot("Fall speed", "mm", "m/s") as is_visible:
-        for name, each in curves.items() if is_visible else ():
-            line(name, each.diameters_mm, each.fall_speed_m_s)
+            points(name, middles[there], nearest.spectrum_m3_mm[there], _MEASURED)
+    with plot("Fall speed", "mm", "m/s", legend=legend) as is_visible:
+        for name, each in compared.items() if is_visible else ():
+            line(name, each.curves.diameters_mm, each.curves.fall_speed_m_s, each.number)
         if is_visible and fitted is not None and middles is not None and fitted.speeds is not None:
-            points("measured", middles[fitted.speeds.fitted], fitted.speeds.mean_m_s[fitted.speeds.fitted])
-    with plot("Flux closure", "mm/h", "implied / mm/h", log_x=True) as is_visible:
-        for name, each in curves.items() if is_visible else ():
-            line(name, each.intensities_mm_h, each.implied_share)
+            there = fitted.speeds.fitted
+            points("measured", middles[there], fitted.speeds.mean_m_s[there], _MEASURED)
+    with plot("Flux closure", "mm/h", "implied / mm/h", log_x=True, legend=several) as is_visible:
+        for name, each in compared.items() if is_visible else ():
+            line(name, each.curves.intensities_mm_h, each.curves.implied_share, each.number)
 
 
 def _of_rows(calibration: Calibration, field: str) -> np.ndarray:
@@ -171,4 +195,4 @@ def _result(counted: DisdrometerMeasurement) -> None:
     with plot("Drops in the air", "mm", "N(D) per m\u00b3 and mm", legend=True) as is_visible:
         if is_visible:
             implot.plot_bars("counted", middles[:last], in_air[:last] / _STEP_MM, 0.9 * _STEP_MM)
-            line("set", middles[:last], law[:last])
+            line("set", middles[:last], law[:last], series=1)

@@ -83,13 +83,14 @@ def _metrics(job: Job[Any]) -> None:
     numbers = [figure_text(name, value) for name, value in figures if name not in plotted | {"step"}]
     if numbers:
         imgui.text_wrapped(", ".join(numbers))
+    series = {name: number for number, name in enumerate(name for names in job.plots.values() for name in names)}
     for title, names in job.plots.items():
         curves = {name: job.curves.curve(name) for name in names}
         if all(curve.shape[1] < 2 for curve in curves.values()):
             continue
         with plot(title, "step", "", legend=len(curves) > 1) as is_visible:
             for name, (steps, values) in curves.items() if is_visible else ():
-                line(name.replace("_", ", "), steps, values)
+                line(name.replace("_", ", "), steps, values, series[name])
 
 
 # Tray in the status bar

@@ -225,14 +225,22 @@ def plot(
 _MARKERS = tuple(getattr(implot.Marker_, name) for name in ("circle", "square", "diamond", "up"))
 
 
-def line(label: str, x: Float64[np.ndarray, " n"], y: Float64[np.ndarray, " n"]) -> None:
-    spec = implot.Spec(line_weight=on_screen_px(_LINE_PX))
+def line(label: str, x: Float64[np.ndarray, " n"], y: Float64[np.ndarray, " n"], series: int) -> None:
+    """Draw a curve in the color of a series, by its number, which is the same in every plot."""
+    spec = implot.Spec(line_color=implot.get_colormap_color(series), line_weight=on_screen_px(_LINE_PX))
     implot.plot_line(visible_name(label), np.ascontiguousarray(x), np.ascontiguousarray(y), spec=spec)
 
 
-def points(label: str, x: Float64[np.ndarray, " n"], y: Float64[np.ndarray, " n"], series: int = 0) -> None:
-    """Draw points with the marker of a series, by its number; ImPlot's own choice changes from frame to frame."""
-    spec = implot.Spec(marker=_MARKERS[series % len(_MARKERS)], marker_size=on_screen_px(_MARKER_PX))
+def points(label: str, x: Float64[np.ndarray, " n"], y: Float64[np.ndarray, " n"], series: int) -> None:
+    """Draw points with marker and color of a series, by its number; ImPlot's own choice differs between plots."""
+    hue = implot.get_colormap_color(series)
+    spec = implot.Spec(
+        marker=_MARKERS[series % len(_MARKERS)],
+        marker_size=on_screen_px(_MARKER_PX),
+        line_color=hue,
+        marker_line_color=hue,
+        marker_fill_color=hue,
+    )
     implot.plot_scatter(visible_name(label), np.ascontiguousarray(x), np.ascontiguousarray(y), spec=spec)
 
 
