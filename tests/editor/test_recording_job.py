@@ -1,5 +1,6 @@
 """Recordings from an editor, in the processes that a window would start; compared with those of the command line."""
 
+import os
 import shlex
 import shutil
 from contextlib import closing
@@ -123,6 +124,9 @@ def test_a_cancelled_recording_can_be_played(editor, tmp_path):
     assert job.is_pending  # it has a copy of what it began with
     job.cancel()
     assert (job.state, job.is_pending) == ("cancelled", False)
+    assert job.has_output and editor.jobs.notices == [job]
+    os.utime(job.output, (1e9, 1e9))
+    assert not job.has_output and editor.jobs.notices == []  # it would be the file of another one
     editor.close()  # waits for the worker
     with av.open(str(tmp_path / "long.mp4")) as container:
         assert sum(1 for _ in container.decode(video=0)) >= 2

@@ -275,8 +275,7 @@ def test_a_clip_is_recorded_while_the_window_goes_on(driver, tmp_path, monkeypat
     editor.render_queue.change(fps=30.0)  # these do not end before they are canceled
     driver.press(chord(imgui.Key.mod_ctrl, imgui.Key.r))
     driver.choose_file("Record timeline", tmp_path / "other.mp4")
-    driver.until(lambda: len(editor.jobs.running) == 1)
-    driver.frames(3)
+    driver.until_worked(lambda: "left" in editor.jobs.all[1].progress.message)
 
     # Others wait: in the same place they are refused, else they run next, or not at all.
     editor.render_queue.record_to(tmp_path / "other.mp4")
@@ -304,6 +303,9 @@ def test_a_clip_is_recorded_while_the_window_goes_on(driver, tmp_path, monkeypat
     assert other.state == "cancelled" and np.array_equal(driver.area("//**/###cancel job")[0], place)
     driver.tap("//**/###cancel job")
     assert (fourth.state, editor.jobs.pending) == ("cancelled", [])
+    driver.frames(3)
+    driver.tap("//View/**/###open output")  # what was recorded of the canceled one
+    driver.until(lambda: opened.read_text().splitlines()[-1] == str(other.output))
     with av.open(str(target)) as container:
         assert sum(1 for _ in container.decode(video=0)) == 20
 

@@ -11,6 +11,7 @@ from gsrain_engine.editor.status import LogLine, StatusBus
 from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.scene.progress import duration_text, figure_text
 
+from ..widgets.desktop import open_in_desktop
 from ..widgets.draw import line, plot
 from ..widgets.fields import WARNING, button, combo, faint, warn
 from ..widgets.text import visible_name
@@ -70,10 +71,24 @@ def job_fields(viewport: ViewportState, jobs: JobRunner, job: Job[Any]) -> None:
         faint(job.progress.note)
         _metrics(job)
         warn(job.progress.warning)
+        if job.has_output:
+            imgui.push_id(number)
+            output_buttons(job)
+            imgui.pop_id()
         if job.state == "finished" and job.report is not None:
             help_text = f"Show metrics, views and timings in a browser: {job.report}"
             if button(f"Report##{number}", help_text, width=-1):
                 webbrowser.open(job.report.as_uri())
+
+
+def output_buttons(job: Job[Any]) -> None:
+    """Draw the buttons that lead to the file or folder that a job has written."""
+    assert job.output is not None
+    if button("Open file###open output", str(job.output)):
+        open_in_desktop(job.output)
+    imgui.same_line()
+    if button("Show in folder###show output", str(job.output.parent)):
+        open_in_desktop(job.output.parent)
 
 
 def _metrics(job: Job[Any]) -> None:

@@ -1,14 +1,8 @@
 """Notices over the viewport: work that it waits for, the last error, and jobs that have ended."""
 
-import logging
-import os
-import subprocess
-import sys
-import threading
 import webbrowser
 from collections.abc import Generator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 from imgui_bundle import ImVec2, imgui
@@ -21,10 +15,10 @@ from gsrain_engine.editor.status import StatusBus
 from gsrain_engine.scene.progress import duration_text
 
 from ..folding import show_panel
+from ..panels.jobs import output_buttons
 from ..widgets.fields import button
 from ..widgets.text import visible_name
 
-logger = logging.getLogger("gsrain")
 _WIDTH_EM, _MIN_WIDTH_EM = 34.0, 22.0
 _MARGIN = 10.0
 _MAX_ENDED = 3
@@ -94,6 +88,8 @@ def _draw_problem(status: StatusBus, problem: str, wide: float) -> None:
 
 
 def _result(job: Job[Any]) -> str:
+    if job.state == "cancelled":
+        return f"{icons.ICON_FA_STOP}  {visible_name(f'{job.title}: canceled; what was written until then is there')}"
     return f"{icons.ICON_FA_CHECK}  {visible_name(f'{job.title}: {job.progress.message}')}"
 
 
@@ -104,13 +100,9 @@ def _draw_ended(jobs: JobRunner, job: Job[Any], wide: float) -> None:
         imgui.set_item_tooltip(f"After {duration_text(job.seconds)}.")
         if imgui.button("Close###dismiss"):
             job.is_noticed = True
-        if job.output is not None:
+        if job.has_output:
             imgui.same_line()
-            if button("Open file###open output", str(job.output)):
-                open_in_desktop(job.output)
-            imgui.same_line()
-            if button("Show in folder###show output", str(job.output.parent)):
-                open_in_desktop(job.output.parent)
+            output_buttons(job)
         if job.report is not None:
             imgui.same_line()
             if button("Report###show report", f"Show metrics, views and timings in a browser: {job.report}"):
@@ -131,19 +123,3 @@ def card(
     imgui.end_child()
     imgui.pop_style_var()
     imgui.pop_style_color()
-
-
-def open_in_desktop(path: Path) -> None:
-    """Open a file or folder in the program that the desktop has for it, without waiting."""
-    threading.Thread(target=_open, args=(path,), daemon=True).start()
-
-
-def _open(path: Path) -> None:
-    program = "open" if sys.platform == "darwin" else "xdg-open"
-    try:
-        if sys.platform == "win32":
-            os.startfile(path)
-        else:
-            subprocess.run([program, str(path)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=False)
-    except OSError as error:
-        logger.warning("%s can't be opened: %s: %s", path, program, error.strerror)

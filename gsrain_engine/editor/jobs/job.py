@@ -10,7 +10,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from time import monotonic
+from time import monotonic, time
 from typing import Any, Generic, Literal, TypeVar, cast
 
 import numpy as np
@@ -105,6 +105,17 @@ class Job(Generic[_Result]):
     def is_pending(self) -> bool:
         """True from its start to its end, waiting or running."""
         return self.runner is not None and self.state in PENDING
+
+    @property
+    def has_output(self) -> bool:
+        """True if it has ended and its output can be opened: all of it, or what was written until it was canceled."""
+        if self.output is None or self.state not in ("finished", "cancelled"):
+            return False
+        try:
+            written_s = time() - self.output.stat().st_mtime
+        except OSError:
+            return False
+        return self.state == "finished" or (self.started_s is not None and written_s < monotonic() - self.started_s)
 
     @property
     def seconds(self) -> float:
@@ -225,12 +236,13 @@ class JobRunner:
 
     @property
     def notices(self) -> list[Job[Any]]:
-        """Jobs that have finished lately, newest first, until their notices are dismissed."""
+        """Jobs that have lately finished, or were canceled with output, newest first, until they are dismissed."""
         now = monotonic()
         return [
             each for each in reversed(self.all)
-            if each.state == "finished" and each.kind != "preview" and not each.is_noticed
-            and each.ended_s is not None and now - each.ended_s < _NOTICED_S
+            if each.ended_s is not None and now - each.ended_s < _NOTICED_S
+            and not each.is_noticed and each.kind != "preview"
+            and (each.state == "finished" or each.has_output)
         ]  # fmt: skip
 
     def newest(self, *kinds: JobKind) -> Job[Any] | None:
