@@ -207,6 +207,21 @@ def test_processes_run_one_after_another_in_an_order_that_can_be_changed(runner,
     ]  # fmt: skip
 
 
+def test_a_short_job_runs_now_next_to_a_long_one(runner):
+    long, before, short = (
+        Job("export", name, endless if name == "long" else succeeding, lambda _, name=name: name, lambda _: (0,))
+        for name in ("long", "before", "short")
+    )
+    for job in (long, before, short):
+        runner.start(job, lambda *_: None)
+    short.run_now()
+    long.run_now()  # does nothing: it runs
+    assert (runner.running, runner.waiting) == ([long, short], [before])
+    assert short.wait(60) == "short"
+    runner.poll()
+    assert (long.state, before.state) == ("running", "queued")
+
+
 def test_leaving_a_scene_ends_its_jobs_and_closing_ends_all(runner):
     ended = Job("recolor", "Recolor", succeeding, lambda _: "colors", lambda _: (0,))
     assert runner.start(ended, lambda *_: None).wait(60) == "colors"

@@ -292,6 +292,7 @@ def test_a_clip_is_recorded_while_the_window_goes_on(driver, tmp_path, monkeypat
     driver.frames(2)  # what the running one reports grows, and moves no button
     assert np.array_equal(driver.area("//**/Run next##3")[0], run_next)
     assert np.array_equal(driver.area("//**/Cancel##1")[0], cancel)
+    assert driver.ctx.item_exists("//**/Run now##3")
     driver.tap("//**/Run next##3")
     assert editor.jobs.waiting == [fourth, third]
     driver.tap("//**/Cancel##2")

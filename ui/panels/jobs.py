@@ -13,7 +13,7 @@ from gsrain_engine.scene.progress import duration_text, figure_text
 
 from ..widgets.desktop import open_in_desktop
 from ..widgets.draw import line, plot
-from ..widgets.fields import WARNING, button, combo, faint, warn
+from ..widgets.fields import WARNING, button, combo, faint, same_line_if_fits, warn
 from ..widgets.text import visible_name
 
 
@@ -44,6 +44,9 @@ def job_fields(viewport: ViewportState, jobs: JobRunner, job: Job[Any]) -> None:
             if button(f"Run next##{number}", "Run it before the others that wait."):
                 job.run_next()
             imgui.same_line()
+        if button(f"Run now##{number}", "Begin it at once, next to the job that runs; both take longer meanwhile."):
+            job.run_now()
+        same_line_if_fits("Cancel")
         if button(f"Cancel##{number}", "Take it out of the queue.", width=-1):
             job.cancel()
     elif job.state == "running":

@@ -144,6 +144,11 @@ class Job(Generic[_Result]):
         if self.runner is not None:
             self.runner.run_next(self)
 
+    def run_now(self) -> None:
+        """Begin a waiting job next to the one that runs, with which it shares the machine."""
+        if self.runner is not None:
+            self.runner.run_now(self)
+
     def wait(self, timeout_s: float) -> _Result:
         """Run a started job to its end and return its result, in programs without frames. Main thread only.
 
@@ -186,7 +191,8 @@ _Stages = Generator[_Waiting, None, str | None]
 class JobRunner:
     """Runs jobs, on the main thread. Their threads and processes touch nothing else: `poll` hands results over.
 
-    Processes run one after another, because each uses the whole machine; jobs in threads do not wait.
+    Processes run one after another, because each uses the whole machine, but for one that the user tells to run now;
+    jobs in threads do not wait.
     """
 
     def __init__(
@@ -260,6 +266,12 @@ class JobRunner:
     def run_next(self, job: Job[Any]) -> None:
         """Move a waiting job before the others that wait."""
         self._queue.sort(key=lambda each: each[0] is not job)
+
+    def run_now(self, job: Job[Any]) -> None:
+        """Begin a waiting job at once, next to those that run."""
+        self.run_next(job)
+        if self._queue and self._queue[0][0] is job and self._is_ready():
+            self._begin(*self._queue.pop(0))
 
     def poll(self) -> None:
         """Start the next stage of each job whose present one has ended, and hand over results; never blocks."""
