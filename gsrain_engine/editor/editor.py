@@ -43,6 +43,8 @@ from .training import TrainingController
 from .viewport_state import PendingScene, ViewportState
 from .views import NamedViews
 
+_SLOW_MS = 1000.0  # drawing time of a full picture from which backdrops are not drawn again and again
+
 
 class Editor:
     """One open scene and the parts that edit, display, save and record it. Main thread only.
@@ -241,14 +243,24 @@ class Editor:
     def _can_stand_still(self) -> bool:
         """True if pictures can be drawn over a backdrop of what stands still while rain falls.
 
-        Only the processor draws over one, and only rain without lamps that is the same at any time.
+        Only the processor draws over one, and only rain without lamps. Where keyframes change the rain, backdrops are
+        drawn anew now and then, unless that takes long.
         """
         options, time_s = self.viewport.options, self.playback.clock.time_s
         can = self.viewport.backend == "cpu" and options.look == "splats" and not options.follow_path
         for pane in self.split_panes:
             rainfall = pane.rainfall
-            can = can and not (rainfall.rain.is_paper or rainfall.weather.keys or rainfall.lamps_of(pane.scene, time_s))
+            can = can and not (rainfall.rain.is_paper or rainfall.lamps_of(pane.scene, time_s))
+            can = can and not (rainfall.weather.keys and self._full_picture_ms > _SLOW_MS)
         return can
+
+    @property
+    def _full_picture_ms(self) -> float:
+        """Drawing time of a full picture of the viewport; 0 if it is unknown."""
+        of_megapixel_ms, view = self.viewport.full_ms_per_megapixel, self.viewport.picture_view
+        if of_megapixel_ms is None or view is None:
+            return 0.0
+        return of_megapixel_ms * 1e-6 * view.camera.width * view.camera.height
 
     @property
     def has_time(self) -> bool:

@@ -2,6 +2,7 @@
 
 from functools import partial
 
+from ..scene.gaussians import IdentityKey
 from ..scene.scene import DrawItem
 from ..water.mirror import LensMirror
 from .bands import PictureBands
@@ -47,7 +48,10 @@ def _composite(frame: FrameInput, parts: FrameParts) -> Renderer | PictureBands:
         chosen = list(subset_items(parts.behind, quality.thinning, camera))
         return chosen if mirror is None else reflecting_items(chosen, frame.scene)
 
-    still.draw(renderer, parts.behind, behind, parts.items, camera, parts.rain, mirror)
+    rainfall, weather = frame.simulation, None
+    if rainfall is not None and rainfall.weather.keys:
+        weather = rainfall.rain, IdentityKey(rainfall.weather)
+    still.draw(renderer, parts.behind, behind, parts.items, camera, parts.rain, mirror, weather)
     return renderer
 
 

@@ -23,6 +23,8 @@ from .cpu.renderer import CpuRenderer
 
 _STEP_S = 0.1  # after which the pose of an actor is compared
 _MOVED_M = 0.01  # by which a pose has to change to count as motion; also in entries of its rotation
+_RESTS = 3.0  # times of a backdrop's drawing for which it stays, although keyframes of the rain have changed it
+_VISIBLE_DIGITS = 2  # significant ones of wetness and medium: smaller changes can hardly be seen
 _MIRROR_EVERY = 12  # pictures that share a mirror image although something in it has changed
 
 
@@ -32,10 +34,13 @@ class StillScene:
     What has moved once counts as moving until the view or the scene changes.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, clock: Callable[[], float] = time.perf_counter) -> None:
+        self._clock = clock
         self.built_ms = 0.0
         """Time that the last picture took for what later ones share."""
         self._key: Hashable = None
+        self._air: Hashable = None
+        self._rests_until = 0.0
         self._backdrop: Backdrop | None = None
         self._view: Hashable = None
         self._movers = set[IdentityKey]()
@@ -75,17 +80,25 @@ class StillScene:
         camera: Camera,
         rain: RainFrame | None,
         mirror: Mirror | None,
+        weather: Hashable = None,
     ) -> None:
         """Draw moving parts and rain over the backdrop of the fixed items.
 
-        `fixed_parts` returns the parts of those; it is called only if the backdrop is outdated.
+        `fixed_parts` returns the parts of those; it is called only if the backdrop is outdated. `weather` is the
+        identity of rain that changes by its keyframes, None for rain that is the same at any time: the wetness and the
+        medium of the backdrop may lag a little behind it, so that drawing backdrops takes a quarter of the time.
         """
-        states = tuple((IdentityKey(item.gaussians), item.wetness, item.selected is None) for item in fixed)
-        key = states, self._view, _air_of(rain), mirror is None
-        if self._backdrop is None or key != self._key:
-            started = time.perf_counter()
-            self._backdrop, self._key = renderer.draw_backdrop(fixed_parts(), camera, rain), key
-            self.built_ms += 1000 * (time.perf_counter() - started)
+        items = tuple((IdentityKey(item.gaussians), item.selected is None) for item in fixed)
+        key = items, self._view, _place_of(rain), mirror is None, weather if weather is not None else _rain_of(rain)
+        wetness = [item.wetness for item in fixed]
+        air = _air_of(rain, wetness, digits=None if weather is None else _VISIBLE_DIGITS)
+        is_due = air != self._air and (weather is None or self._clock() >= self._rests_until)
+        if self._backdrop is None or key != self._key or is_due:
+            started = self._clock()
+            self._backdrop, self._key, self._air = renderer.draw_backdrop(fixed_parts(), camera, rain), key, air
+            took_s = self._clock() - started
+            self._rests_until = started + (1 + _RESTS) * took_s
+            self.built_ms += 1000 * took_s
         renderer.draw_over(self._backdrop, moving, camera, rain, mirror)
 
     def mirror(
@@ -104,10 +117,10 @@ class StillScene:
         changing = state, tuple((IdentityKey(item.gaussians), item.to_world.tobytes()) for item in moving)
         is_old = self._mirror_left <= 0 and changing != self._mirror_state
         if self._mirror is None or key != self._mirror_key or is_old:
-            started = time.perf_counter()
+            started = self._clock()
             self._mirror, self._mirror_left = draw(), _MIRROR_EVERY
             self._mirror_key, self._mirror_state = key, changing
-            self.built_ms += 0.0 if is_old else 1000 * (time.perf_counter() - started)
+            self.built_ms += 0.0 if is_old else 1000 * (self._clock() - started)
         self._mirror_left -= 1
         rings = self._mirror.rings
         if waves is None or rings is None:
@@ -120,9 +133,18 @@ def _view_of(camera: Camera) -> tuple[Hashable, ...]:
     return c.world_to_camera.tobytes(), c.width, c.height, c.fx, c.fy, c.cx, c.cy
 
 
-def _air_of(rain: RainFrame | None) -> Hashable:
-    """Everything that the medium of a view depends on."""
-    if rain is None:
-        return None
-    extinction = rain.extinction_per_m, rain.fog_extinction_per_m, rain.count
-    return rain.rain, extinction, rain.airlight.tobytes(), rain.view.anchor_to_world.tobytes(), rain.view.floor_m
+def _rain_of(rain: RainFrame | None) -> Hashable:
+    return None if rain is None else rain.rain
+
+
+def _place_of(rain: RainFrame | None) -> Hashable:
+    """Place of the medium; None without one."""
+    return None if rain is None else (rain.view.anchor_to_world.tobytes(), rain.view.floor_m)
+
+
+def _air_of(rain: RainFrame | None, wetness: Sequence[float], digits: int | None) -> Hashable:
+    """Return the wetness and the medium of a view, in some significant digits (None: all)."""
+    values = [*wetness]
+    if rain is not None:
+        values += [rain.extinction_per_m, rain.fog_extinction_per_m, rain.count, *rain.airlight.tolist()]
+    return tuple(values if digits is None else (float(f"{each:.{digits}g}") for each in values))

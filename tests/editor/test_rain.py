@@ -1,6 +1,7 @@
 """Rain of the document: keyframes, drops in the air, roofs, measurements and calibrations."""
 
 from contextlib import closing, suppress
+from types import SimpleNamespace
 
 import msgspec
 import numpy as np
@@ -9,7 +10,9 @@ import pytest
 from editor.files.open_document import settle
 from gsrain_engine.disdrometer.netcdf import write_spectra
 from gsrain_engine.disdrometer.virtual import VirtualDisdrometer
+from gsrain_engine.editor import viewport_state
 from gsrain_engine.editor.document import OBJECT_AIR, with_preset
+from gsrain_engine.editor.drawing.frame import DrawnImage, DrawResult
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.edits.level import set_length
 from gsrain_engine.editor.edits.members import set_visible
@@ -18,7 +21,7 @@ from gsrain_engine.editor.jobs.job import JobError
 from gsrain_engine.editor.scene_setup import SETUP_MM_H
 from gsrain_engine.presets import shipped_config_names
 from gsrain_engine.rain.calibration import load_calibration
-from gsrain_engine.rain.keyframes import RainKeyframe, RainKeyframes
+from gsrain_engine.rain.keyframes import NO_KEYFRAMES, RainKeyframe, RainKeyframes
 from gsrain_engine.rain.settings import RainSettings, load_preset
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.scene.formats.scene_files import write_scene
@@ -163,3 +166,23 @@ def test_a_fit_is_saved_and_used(rainy, tmp_path, monkeypatch):
     assert fitted.rows[-1].shape == pytest.approx(lab.pass_file.rows[1].shape, rel=0.1)
     document.undo()
     assert document.rain.calibration == "published"
+
+
+@pytest.mark.parametrize("keys", [NO_KEYFRAMES, NO_KEYFRAMES.with_key(0.0, wetness=0.0).with_key(9.0, wetness=1.0)])
+def test_rain_before_a_still_camera_has_one_quality_with_and_without_keyframes(monkeypatch, keys):
+    now_s = 0.0
+    monkeypatch.setattr(viewport_state, "time", SimpleNamespace(perf_counter=lambda: now_s))
+    with closing(Editor(small_scene(), RainSettings(intensity_mm_h=8.5))) as editor:
+        editor.document.edit_keyframes("Keys", replace_keyframes, keys)
+        editor.viewport.backend = "cpu"
+        for _ in range(40):
+            now_s += 0.05
+            editor.playback.clock.advance(0.05)
+            frame = editor.render_input(96, 64)
+            cost_ms = 60.0 if frame.quality.has_backdrop else 200.0
+            image = DrawnImage(frame.quality, cost_ms, "cpu", "", {"megapixels": 0.006})
+            editor.apply(DrawResult(frame, drawn=image, is_settled=True))
+        assert frame.quality.has_backdrop and frame.quality.gaussians == 1
+        editor.viewport.full_ms_per_megapixel = 1e6  # a backdrop would take seconds, again and again
+        now_s += 0.05
+        assert editor.render_input(96, 64).quality.has_backdrop == (keys is NO_KEYFRAMES)

@@ -6,6 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from gsrain_engine.rain.keyframes import NO_KEYFRAMES
 from gsrain_engine.rain.settings import load_preset
 from gsrain_engine.rain.simulation import OVERCAST, RainSimulation
 from gsrain_engine.render.cpu.renderer import CpuRenderer
@@ -107,6 +108,38 @@ def test_what_stands_still_is_drawn_once(renderer):
     hidden = scene.with_member("layers/wall", visible=False)
     shown(renderer, hidden, rainfall, view(1.8, x=0.2), still)
     assert renderer.backdrops == [3, 3, 3, 3, 2]
+
+
+def test_a_backdrop_follows_keyframes_of_the_rain_in_a_quarter_of_the_time(renderer):
+    now_s = 0.0
+    keys = NO_KEYFRAMES.with_key(0.0, intensity_mm_h=2.0).with_key(10.0, intensity_mm_h=20.0)
+    scene, rainfall = street(), RainSimulation.start(load_preset("8.5"), weather=keys)
+    draw_backdrop = renderer.draw_backdrop
+
+    def slow_backdrop(*arguments):
+        nonlocal now_s
+        now_s += 0.1  # s, on the clock below
+        return draw_backdrop(*arguments)
+
+    renderer.draw_backdrop = slow_backdrop
+    still = StillScene(lambda: now_s)
+    for k in range(40):
+        over = shown(renderer, scene, rainfall, view(1 + 0.05 * k), still)
+        now_s += 0.05
+    assert 5 <= len(renderer.backdrops) <= 7  # 2 s of pictures, and 0.1 s for a backdrop every 0.4 s
+    exact = shown(renderer, scene, rainfall, view(1 + 0.05 * 39))
+    assert 0 < np.abs(over - exact).mean() < 3e-3
+    before = len(renderer.backdrops)
+    other = replace(rainfall, weather=keys.with_key(20.0, intensity_mm_h=1.0))
+    shown(renderer, scene, other, view(3.0), still)  # an edit is there at once
+    assert len(renderer.backdrops) == before + 1
+    windy = RainSimulation.start(
+        load_preset("8.5"), weather=NO_KEYFRAMES.with_key(0.0, wind_m_s=(0.0, 0.0)).with_key(9.0, wind_m_s=(5.0, 0.0))
+    )
+    for k in range(20):
+        shown(renderer, scene, windy, view(1 + 0.1 * k), still)
+        now_s += 1.0
+    assert len(renderer.backdrops) == before + 2  # wind moves drops alone
 
 
 def test_a_board_that_stands_is_part_of_the_backdrop_and_one_that_stops_stays_out_of_it(renderer):
