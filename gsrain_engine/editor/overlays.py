@@ -1,4 +1,4 @@
-"""Viewport overlays: the camera path with its keyframes, and the frustums of captured cameras."""
+"""Viewport overlays: selected centers, the camera path with its keyframes, and the frustums of captured cameras."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -6,13 +6,15 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, Int64
 
 from ..datasets.capture import Capture
 from ..scene.camera import Camera
 from ..scene.camera_path import CameraPath
+from ..scene.gaussians import scene_cache
+from ..scene.scene import Scene
 from .viewport.picking import NEAR_M, in_camera, project_lines, project_point, to_pixels
-from .viewport_state import ViewportState
+from .viewport_state import ViewportState, selected_items
 
 _SAMPLES_A_SECOND, _MAX_SAMPLES = 12, 700
 _FRUSTUM_PX = 26.0
@@ -189,3 +191,40 @@ def _on_plane(camera: Camera, length_m: float, pixels: Float64[np.ndarray, "n 2"
     pose = camera.camera_to_world
     x, y = (pixels[:, 0] - camera.cx) / camera.fx, (pixels[:, 1] - camera.cy) / camera.fy
     return length_m * np.stack([x, y, np.ones(len(x))], axis=1) @ pose[:3, :3].T + pose[:3, 3]
+
+
+# Selected Gaussians of which a tint shows nothing
+
+_FAINT = 0.3  # opacity below which a tint hardly shows
+_SMALL_PX = 1.0  # longest standard deviation in pixels below which one hardly shows
+_MAX_CENTERS = 1500
+
+
+def hardly_visible_selection(scene: Scene, time_s: float, camera: Camera) -> Float64[np.ndarray, "n 2"]:
+    """Pixels of the centers of selected Gaussians that are too faint or small to be seen tinted; a sample of many."""
+    means, sizes_m = _selected_samples(scene, time_s if scene.actors else 0.0)
+    places = in_camera(means, camera)
+    there = places[:, 2] > NEAR_M
+    pixels, sizes_px = to_pixels(places[there], camera), sizes_m[there] * camera.fx / places[there, 2]
+    inside = ((pixels >= 0) & (pixels < (camera.width, camera.height))).all(axis=1)
+    return pixels[inside & (sizes_px < _SMALL_PX)]
+
+
+@scene_cache(maxsize=2)
+def _selected_samples(scene: Scene, time_s: float) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, " n"]]:
+    """World positions and sizes (m) of selected Gaussians, faint ones with size 0: those first, then others."""
+    means, sizes = [np.zeros((0, 3))], [np.zeros(0)]
+    for item in selected_items(scene, time_s):
+        gaussians = item.remaining
+        scale = float(np.cbrt(np.linalg.det(item.to_world[:3, :3])))
+        faint = gaussians.opacities * item.opacity < _FAINT
+        means.append(gaussians.means @ item.to_world[:3, :3].T + item.to_world[:3, 3])
+        sizes.append(np.where(faint, 0.0, scale * gaussians.scales.max(axis=1, initial=0)))
+    all_means, all_sizes = np.concatenate(means), np.concatenate(sizes)
+    is_faint = all_sizes == 0
+    chosen = np.concatenate([_sample(np.flatnonzero(is_faint)), _sample(np.flatnonzero(~is_faint))])
+    return all_means[chosen], all_sizes[chosen]
+
+
+def _sample(rows: Int64[np.ndarray, " n"]) -> Int64[np.ndarray, " m"]:
+    return rows[:: -(-len(rows) // _MAX_CENTERS) or 1]

@@ -108,3 +108,32 @@ def test_a_face_of_the_crop_box_is_dragged_and_applied(driver):
     driver.tap("//Edit/###purge")
     assert editor.document.history.labels[-1] == "Purge deleted"
     assert editor.document.scene.member(WALL).marks.deleted is None
+
+
+def test_floaters_that_are_found_are_marked_counted_and_deleted(driver):
+    editor = driver.editor
+    wall = editor.document.scene.member(WALL)
+    opacities = wall.gaussians.opacities.copy()
+    opacities[[22, 210, 377]] = 0.004  # hardly anything to be tinted
+    change_wall(editor, gaussians=replace(wall.gaussians, opacities=opacities))
+    driver.panel("Edit")
+    driver.ctx.set_ref("")
+
+    def are_marked():
+        """Tell for each of the centers whether there is a dot of the selection's color."""
+        screen, found = driver.screen(), []
+        for center in wall.gaussians.means[[22, 210, 377]]:
+            x, y = driver.on_screen(center).round().astype(int)
+            there = screen[y - 2 : y + 3, x - 2 : x + 3]
+            found.append(bool(np.abs(there - (255, 209, 38)).max(axis=2).min() < 40))
+        return found
+
+    assert are_marked() == [False] * 3
+    driver.tap("//Edit/Find floaters")
+    driver.until(lambda: editor.floaters.count is not None)
+    driver.frames(3)
+    assert editor.floaters.count == 3 and are_marked() == [True] * 3
+    editor.viewport.options.show_selection = False
+    assert are_marked() == [False] * 3
+    driver.tap("//Edit/Delete 3 floaters")
+    assert editor.document.scene.member(WALL).marks.deleted.indices.tolist() == [22, 210, 377]

@@ -530,7 +530,8 @@ COMMAND_GROUPS: tuple[tuple[Command, ...], ...] = (
                 "Parallel rays: equal lengths are equally long. Shows the light and wet ground of the rain, without "
                 "drops and haze.", _has_scene, _is("viewport.options.orthographic"), shell="render"),
         Command("Highlight selection", _toggle("viewport.options.show_selection"), "View", "Shift+S",
-                "Tint the selected Gaussians.", is_on=_is("viewport.options.show_selection")),
+                "Tint the selected Gaussians, and mark the centers of faint ones.",
+                is_on=_is("viewport.options.show_selection")),
         Command("Take screenshot", _call("take_screenshot"), "View", "F12",
                 "Save the viewport as PNG in the pictures folder; the log has its path."),
         *(Command(f"Mode: {mode}", _set("viewport.options.look", mode), help=RENDER_MODE_HELP[mode],

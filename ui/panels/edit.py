@@ -133,7 +133,8 @@ def _floaters(document: Document, floaters: FloaterFinder, jobs: JobRunner) -> N
         floaters.find(_State.rules)
     is_latest = document.history.undo_label == FLOATERS_TITLE
     if job is not None and count is not None and (is_latest or not count):
-        imgui.text_wrapped(job.progress.message + ".")
+        marked = " Faint ones are marked by dots." if count else ""
+        imgui.text_wrapped(f"{job.progress.message}.{marked}")
         title = f"Delete {count:,} floaters"
         if count and button(title, "Delete the found floaters; undo restores them.", width=-1):
             document.edit("Delete floaters", gaussians.delete_selected)

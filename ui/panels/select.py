@@ -58,7 +58,7 @@ def _buttons(viewport: ViewportState, selection: SelectionTool, is_selected: boo
     if button("Invert", "Select all visible Gaussians that were not selected (Ctrl+I)."):
         selection.invert()
     same_line_if_fits("Highlight", imgui.get_frame_height())
-    help_text = "Tint the selected Gaussians (Shift+S)."
+    help_text = "Tint the selected Gaussians, and mark the centers of those too faint or small for it (Shift+S)."
     viewport.options.show_selection = checkbox("Highlight", viewport.options.show_selection, help_text)
     if button("Grow", "Add Gaussians within this distance of the selection (Ctrl+]).", enabled=is_selected):
         selection.grow()

@@ -1,4 +1,4 @@
-"""Overlays on the viewport: camera path, capture, matching, roll-out, divider and preview."""
+"""Overlays on the viewport: selection, camera path, capture, matching, roll-out, divider and preview."""
 
 from collections.abc import Callable
 from itertools import groupby, pairwise
@@ -14,7 +14,14 @@ from gsrain_engine.editor.document import Document
 from gsrain_engine.editor.drive import RolloutPlayer
 from gsrain_engine.editor.make_rainy import WetLookController
 from gsrain_engine.editor.matching import MatchingController, MatchResult
-from gsrain_engine.editor.overlays import Frustum, KeyHandle, frustums, image_grid, path_overlay_of
+from gsrain_engine.editor.overlays import (
+    Frustum,
+    KeyHandle,
+    frustums,
+    hardly_visible_selection,
+    image_grid,
+    path_overlay_of,
+)
 from gsrain_engine.editor.overlays_drive import BoxMark, DetectionBox, detection_boxes, rollout_overlay
 from gsrain_engine.editor.timeline import Playback
 from gsrain_engine.editor.viewport.picking import project_lines, project_point
@@ -446,8 +453,22 @@ def lamp_overlay(document: Document, viewport: ViewportState, canvas: Canvas) ->
     return True
 
 
+# Selection
+
+_CENTER = ImVec4(1.0, 0.82, 0.15, 1.0)  # as the tint
+
+
+def selection_overlay(document: Document, viewport: ViewportState, canvas: Canvas) -> bool:
+    """Mark the centers of selected Gaussians of which a tint shows nothing, such as those of faint floaters."""
+    if viewport.options.show_selection:
+        shot = canvas.shot
+        for pixel in hardly_visible_selection(document.scene, shot.time_s, shot.camera).tolist():
+            draw_dot(canvas, pixel, _CENTER, 2.0, 1.0)
+    return False
+
+
 OVERLAYS: tuple[Overlay, ...] = (
-    plan_overlay, capture_overlay, matching_overlay, path_overlay, lamp_overlay, drive_overlay,
+    plan_overlay, capture_overlay, matching_overlay, path_overlay, lamp_overlay, drive_overlay, selection_overlay,
 )  # fmt: skip
 
 # Divider of two images
