@@ -12,7 +12,7 @@ _Config = TypeVar("_Config")
 
 
 def shipped_path(name: str) -> Path:
-    """Return the folder `shaders` or `sample_configs`, or the file `CHANGELOG.md`.
+    """Return the folder `shaders`, `sample_configs` or `docs/guide`, or the file `CHANGELOG.md`.
 
     An installed program has them inside this package; in a source tree they are its siblings.
     """

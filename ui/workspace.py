@@ -11,13 +11,15 @@ from gsrain_engine.editor.drawing.live_view import WindowBackend
 from gsrain_engine.editor.drawing.picture_thread import PictureContext, PictureThread
 from gsrain_engine.editor.drawing.textures import CachedTexture, CaptureTextures, JobPreviews, ViewPictures
 from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.guide import PANELS_PAGE, VIEW_PAGE
 from gsrain_engine.editor.jobs.make_rainy import PREVIEW_PICTURES
 from gsrain_engine.render.opengl.context import DeviceLostError, is_software
 from gsrain_engine.render.opengl.warp import PictureWarp, can_warp
 
 from .dialogs import CommandPalette, about_page, draw_questions, keyboard_page, news_page, save_view_page, series_page
 from .folding import FoldedPanels, panel_windows, show_panel
-from .panels.registry import all_panels
+from .guide import draw_guide
+from .panels.registry import Panel, all_panels
 from .parts import bind_parts
 from .shell import act_on_keys, draw_menus, status_bar
 from .tools import TOOLS
@@ -74,7 +76,7 @@ class Workspace:
         windows, panels = list[hello_imgui.DockableWindow](), all_panels()
         before = self.editor.preferences.value
         for panel in panels:
-            draw = self._noting_visible(panel.title, bind_parts(panel.draw, self.editor))
+            draw = self._noting_visible(panel, bind_parts(panel.draw, self.editor))
             window = hello_imgui.DockableWindow(panel.title, _SPACES[panel.side], draw)
             is_first_there = panel.side not in [each.side for each in panels[: panels.index(panel)]]
             window.focus_window_at_next_frame = panel.title in before.front_panels or (
@@ -87,11 +89,13 @@ class Workspace:
             windows.append(window)
         return windows
 
-    def _noting_visible(self, title: str, draw: Callable[[], object]) -> Callable[[], None]:
-        """Return a panel's drawing that notes that the panel is in front, and wraps its text."""
+    def _noting_visible(self, panel: Panel, draw: Callable[[], object]) -> Callable[[], None]:
+        """Return a panel's drawing that notes that the panel is in front, or has the focus, and wraps its text."""
 
         def draw_and_note() -> None:
-            self._drawn.add(title)
+            self._drawn.add(panel.title)
+            if imgui.is_window_focused(imgui.FocusedFlags_.root_and_child_windows):
+                self.editor.viewport.options.guide_of_focus = panel.page or PANELS_PAGE
             imgui.push_text_wrap_pos(0.0)  # no words are cut at the panel's edge
             draw()
             imgui.pop_text_wrap_pos()
@@ -176,6 +180,8 @@ class Workspace:
 
     def draw_viewport(self) -> None:
         editor = self.editor
+        if imgui.is_window_focused(imgui.FocusedFlags_.root_and_child_windows):
+            editor.viewport.options.guide_of_focus = VIEW_PAGE
         if not editor.viewport.options.dialog and editor.status.question is None and not is_file_dialog_open():
             act_on_keys(editor)
         draw_file_dialogs(editor.status, editor.files.recent, use_desktop=editor.preferences.value.desktop_dialogs)
@@ -200,6 +206,7 @@ class Workspace:
         news_page(editor.viewport)
         save_view_page(editor.viewport, editor.views)
         series_page(editor)
+        draw_guide(editor.viewport)
         draw_questions(editor.viewport, editor.files, editor.status)
 
     def _warped(self) -> list[moderngl.Texture]:

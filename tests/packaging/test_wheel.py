@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from gsrain_engine.editor.guide import FOLDER, guide_pages
 from gsrain_engine.presets import shipped_config_names, shipped_path
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -38,8 +39,10 @@ def test_the_wheel_holds_every_file_of_every_package_and_nothing_else(in_wheel):
     } <= wanted  # fmt: skip
     build = tomllib.loads((REPOSITORY / "pyproject.toml").read_text("utf-8"))["tool"]["hatch"]["build"]
     assert build["targets"]["wheel"]["force-include"] == {
-        "CHANGELOG.md": "gsrain_engine/CHANGELOG.md"
-    }  # which What's new shows
+        each: f"gsrain_engine/{each}"
+        for each in ("CHANGELOG.md", "docs/guide", "docs/driving.md", "docs/physics/drops.md")
+    }  # which What's new and the guide show
+    assert {f"gsrain_engine/{FOLDER}/{page}" for page in guide_pages() if "/" not in page} <= in_wheel
     assert wanted - in_wheel == set(), "left out of the wheel (by .gitignore?)"
     assert {path.split("/")[0] for path in in_wheel} == set(PACKAGES)
 

@@ -576,6 +576,8 @@ COMMAND_GROUPS: tuple[tuple[Command, ...], ...] = (
     ),
     # Help
     (
+        Command("Guide", lambda viewport: setattr(viewport.options, "guide", viewport.options.guide_of_focus), "Help",
+                "Shift+F1", "The page of the guide about the panel that had the focus last."),
         Command("Find command...", _set("viewport.options.dialog", "commands"), "Help", "Ctrl+P or Ctrl+Shift+P",
                 "Type part of a name; Enter runs it."),
         Command("Keyboard and mouse", _set("viewport.options.dialog", "keys"), "Help", "F1", "All keys on one page."),

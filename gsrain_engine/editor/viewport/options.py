@@ -8,6 +8,7 @@ from typing import Literal, NamedTuple
 from ...choices import Mark, RenderMode
 from ...render.opengl.buffers import Harmonics
 from ...render.renderer import Color
+from ..guide import FIRST_PAGE
 
 Mode = Literal["picture", "difference", "pixels"]
 
@@ -46,6 +47,10 @@ class ViewOptions:
     show_selection: bool = True
     dialog: str = ""
     """Open page of the window: commands, keys or about."""
+    guide: str = ""
+    """Open page of the guide, by its path in the folder; empty if it is closed."""
+    guide_of_focus: str = FIRST_PAGE
+    """Page about the panel that had the focus last."""
     member: str = ""
     """Key of the layer or actor to edit; none if empty or gone."""
     show_lamps: bool = False
