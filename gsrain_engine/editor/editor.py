@@ -111,7 +111,7 @@ class Editor:
         self.document.open(state)
         self.files.enter(opened, state)
         self._reset_view()
-        self.scene_setup.enter(scene)
+        self.scene_setup.enter(scene, is_foreign=opened.home is None and opened.recovered is None)
         forget_scenes()
         self._freed_memory.note_work()
         if scene.view is not None:

@@ -18,9 +18,12 @@ class SceneSetup:
         self.is_open = False
         """True while the bar with the steps is displayed."""
 
-    def enter(self, scene: Scene) -> None:
-        """Open the bar for a scene that has just been opened, if its file holds no unit and no window has saved it."""
-        self.is_open = scene.unit_is_assumed and scene.gaussian_count > 0 and scene.view is None
+    def enter(self, scene: Scene, *, is_foreign: bool) -> None:
+        """Open the bar for a scene that has just been opened, if it is a foreign file, which holds no unit.
+
+        `is_foreign` is false for scene folders, which hold what was chosen, and for recovered scenes.
+        """
+        self.is_open = is_foreign and scene.unit_is_assumed and scene.gaussian_count > 0 and scene.view is None
 
     @property
     def axis(self) -> Axis | None:
@@ -28,7 +31,7 @@ class SceneSetup:
         return _AXES.get(self._document.scene.up)
 
     def guess(self) -> None:
-        """Find up direction, ground, and with a camera path the scale; reports it if there is no ground."""
+        """Find up direction, ground, and with a camera path the scale; without ground it is at the lowest point."""
         if self._document.edit("Guess the orientation", guess_orientation):
             self._viewport.go_home()
 

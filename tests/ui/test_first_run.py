@@ -13,7 +13,7 @@ from gsrain_engine.editor.edits.gaussians import box_around
 from gsrain_engine.editor.files import Files
 from gsrain_engine.editor.news import news_in, read_news
 from gsrain_engine.editor.preferences import load_preferences
-from gsrain_engine.scene.formats.scene_files import write_scene
+from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from small_scene import small_scene
 from window_driver import imgui
 
@@ -69,7 +69,9 @@ def test_a_file_of_gaussians_becomes_a_rainy_scene_in_four_actions(driver, tmp_p
     saved = tmp_path / "saved"
     editor.files.save_to(saved)
     driver.until(lambda: editor.busy is None)
-    for path, is_open in ((file, True), (saved, False)):
+    folder = tmp_path / "by a command"
+    write_scene(with_fields(read_scene(file), unit_is_assumed=True), folder)
+    for path, is_open in ((file, True), (saved, False), (folder, False)):
         editor.files.open_now(str(path))
         driver.until(lambda: editor.busy is None)
         driver.frames(3)

@@ -1,5 +1,6 @@
 """Orientation and scale of a scene: up direction and ground from points or RANSAC, and the unit length."""
 
+import logging
 from dataclasses import replace
 from typing import NamedTuple, get_args
 
@@ -22,6 +23,8 @@ _FEWEST_SHARE = 0.05
 _PART = 0.2  # share of a plane that is ground in any case; less above much else is part of an object, as soil in a pot
 _PREFERENCE = 1.5  # of the present axis over others, whose walls are large, too
 _CAMERA_HEIGHT_M = 1.5
+_STRAY_SHARE = 0.005  # of the samples, which the lowest point leaves out
+logger = logging.getLogger("gsrain")
 
 
 class GroundPlaneFit(NamedTuple):
@@ -98,7 +101,8 @@ def guess_orientation(scene: Scene) -> Scene:
     share of what lies below it. Where the unit is assumed and the scene has a camera path above the ground, that
     becomes 1.5 m high, as of a person or a car.
 
-    Raises `ValueError` if there is no ground below any axis, as below an object that was cut out.
+    Without ground below any axis, as below an object that was cut out, the present axis stays up, and the ground is at
+    the lowest point of what can be seen.
     """
     candidates: list[tuple[float, Scene]] = []
     for turned in (scene, *(oriented(scene, axis) for axis in get_args(Axis))):
@@ -110,14 +114,23 @@ def guess_orientation(scene: Scene) -> Scene:
         if score > 0 or ground.share > _PART:
             candidates.append((_PREFERENCE * score if turned is scene else score, turned))
     if not candidates:
-        raise ValueError(
-            "No ground was found below any axis: choose Up and Ground, or level by three points (tool Level)."
-        )
+        return _on_lowest_point(scene)
     leveled = level_from_ground(max(candidates, key=lambda each: each[0])[1])
     try:
         return set_camera_height(leveled, _CAMERA_HEIGHT_M) if scene.unit_is_assumed else leveled
     except ValueError:  # without a camera path, nothing tells the scale
         return leveled
+
+
+def _on_lowest_point(scene: Scene) -> Scene:
+    """Set the ground to the lowest point of what can be seen, but for a few strays; nothing without any."""
+    points, _ = _samples(scene, np.random.default_rng(0))
+    if not len(points):
+        points, _ = _samples(scene, np.random.default_rng(0), min_opacity=0.0)
+    if not len(points):
+        return scene
+    logger.info("No ground was found below the scene: it is at the lowest point. Up and Ground correct it.")
+    return set_ground_height(scene, float(np.quantile(points[:, 2], _STRAY_SHARE)))
 
 
 def set_ground_height(scene: Scene, height_m: float) -> Scene:
@@ -181,15 +194,15 @@ def _winner(
 
 
 def _samples(
-    scene: Scene, random: np.random.Generator
+    scene: Scene, random: np.random.Generator, min_opacity: float = 0.5
 ) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"]]:
-    """Centers of Gaussians of at least half opacity in the world, and their normals, which are zero if not flat."""
+    """Centers of Gaussians above an opacity in the world, and their normals, which are zero if not flat."""
     points, normals = [np.zeros((0, 3))], [np.zeros((0, 3))]
     for layer in scene.layers:
         part = scene.part(layer)
         if not layer.visible or layer.kind == "sky" or part is None:
             continue
-        solid = part.gaussians.opacities > 0.5
+        solid = part.gaussians.opacities > min_opacity
         if part.left_out is not None:
             solid &= ~part.left_out.flags
         where = random.permutation(np.flatnonzero(solid))[:_SAMPLES]

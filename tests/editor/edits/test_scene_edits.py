@@ -226,10 +226,16 @@ def test_the_orientation_is_guessed_from_the_ground_and_the_scale_from_the_camer
     wall = flat_and_round((0.0, 400), lumps=500)
     both = replace(wall, layers=(*wall.layers, replace(wall.layers[0], name="wall", to_scene=turned(90, 0))))
     assert guess_orientation(both).up == pytest.approx([0, 0, 1], abs=1e-6)  # both are as large
-    with pytest.raises(ValueError, match="below any axis"):
-        guess_orientation(flat_and_round((0.0, 45), lumps=955))
-    with pytest.raises(ValueError, match="below any axis"):
-        guess_orientation(flat_and_round((10.0, 200), lumps=1000))  # a shelf in a ball
+    for nothing_below in (flat_and_round((0.0, 45), lumps=955), flat_and_round((10.0, 200), lumps=1000)):
+        guessed = guess_orientation(replace(nothing_below, unit_is_assumed=True))  # the second is a shelf in a ball
+        lowest_m = nothing_below.layers[0].gaussians.means[:, 2].min()
+        assert (guessed.up, guessed.unit_is_assumed) == (nothing_below.up, True)
+        assert lowest_m <= guessed.ground_m < lowest_m + 1.0
+    faint = nothing_below.layers[0].gaussians
+    faint = replace(nothing_below, layers=(Layer("all", replace(faint, opacities=0.1 * faint.opacities)),))
+    assert guess_orientation(faint).ground_m < lowest_m + 1.0
+    hidden = nothing_below.with_member("layers/all", visible=False)
+    assert guess_orientation(hidden) is hidden
     high = replace(LYING, layers=tuple(replace(each, to_scene=turned(90, 0)) for each in right.layers))
     high = replace(high, path=flown(np.array([[0.0, 0, 3], [1, 0, 3], [2, 0, 3]])), unit_is_assumed=True)
     scaled = guess_orientation(high)
