@@ -262,3 +262,17 @@ def test_layers_are_locked_copied_named_and_removed(driver):
     assert names() == ["road", "wall", "sky"]
     driver.press(chord(_CTRL, imgui.Key.z))
     assert names() == ["road", "wall", "fence", "sky"]
+
+
+def test_the_size_of_the_text_changes_when_its_slider_is_let_go(driver):
+    driver.panel("Display")
+    driver.ctx.scroll_to_item_y("//Display/##font_scale")
+    driver.frames()
+    preferences, (corner, size) = driver.editor.preferences, driver.area("//Display/##font_scale")
+    middle = corner + size / 2
+    driver.stroke(middle, middle + [15, 0], middle + [30, 0], lets_go=False)
+    assert preferences.value.font_scale == 1.0  # nothing moves under the mouse
+    assert np.array_equal(driver.area("//Display/##font_scale")[0], corner)
+    driver.ctx.mouse_up(0)
+    driver.frames(4)
+    assert preferences.value.font_scale > 1.05
