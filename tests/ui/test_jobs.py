@@ -329,7 +329,7 @@ def test_steps_and_recordings_are_copied(driver, tmp_path):
     edited = copied("//History/Copy as Python")
     assert edited.splitlines()[2] == f"scene = gr.load({source!r})"
     render = copied("//Record/Copy as command").partition(" && ")[2]
-    assert render.split() == ["gsrain", "render", "edited", "-o", "clip.mp4", "--size", "960x640", "--codec", "h264"]
+    assert render == "gsrain render edited -o clip.mp4 --size 960x640 --to 5.0 --codec h264"  # as the timeline plays it
     recorded = copied("//Record/Copy as Python").splitlines()
     assert recorded[:-1] == edited.splitlines()[:-1]
-    assert recorded[-1] == "gr.export(scene, 'clip.mp4', size_px=(960, 640), codec='h264')"
+    assert recorded[-1] == "gr.export(scene, 'clip.mp4', size_px=(960, 640), last_s=5.0, codec='h264')"
