@@ -1,6 +1,7 @@
 """Window shell: key chords, menu bar, panel windows and status bar."""
 
 import logging
+import time
 from datetime import datetime, timedelta
 
 from imgui_bundle import ImVec2, hello_imgui, imgui
@@ -168,9 +169,9 @@ def status_bar(editor: Editor) -> None:
         imgui.same_line()
         imgui.text(f"  {editor.busy}")
     tool = next((each for each in TOOLS if each.name == editor.viewport.options.tool), None)
-    right = f"{imgui.get_io().framerate:.0f} fps ({editor.viewport.backend})"
+    right = f"{editor.viewport.rate.words(time.perf_counter())} ({editor.viewport.backend})".lstrip()
     room = imgui.get_window_width() - imgui.calc_text_size(right).x - 2 * imgui.get_font_size()
-    fps_at, room = room, room - tray_width(editor.jobs)
+    rate_at, room = room, room - tray_width(editor.jobs)
     hint = f"{tool.name}: {tool.help}" if tool is not None else ""
     newest = editor.status.log.lines[-1] if editor.status.log.lines else None
     age = datetime.now() - newest.at if newest is not None and newest.level == logging.INFO else _NEW
@@ -186,8 +187,9 @@ def status_bar(editor: Editor) -> None:
         imgui.pop_clip_rect()
         if imgui.get_item_rect_max().x > high[0]:
             imgui.set_item_tooltip(hint)
-    if room < fps_at:
+    if room < rate_at:
         imgui.same_line(room)
         job_tray(editor.viewport, editor.jobs)
-    imgui.same_line(fps_at)
+    imgui.same_line(rate_at)
     imgui.text_disabled(right)
+    imgui.set_item_tooltip("Pictures of the view on the screen, their size in pixels, and the renderer.")

@@ -213,10 +213,13 @@ class Workspace:
         """Textures of the last picture, warped to when this frame is on the screen if something has moved since."""
         last, viewport = self.pictures.last, self.editor.viewport
         textures, view = list(last.textures), viewport.shot(*self._view_size, ahead_s=self._frame_s)
+        before = viewport.picture_view
         for side, relief in enumerate(last.reliefs):
             if relief is not None and can_warp(relief, view.camera, view.time_s):
                 textures[side] = self._warps[side].show(textures[side], relief, view.camera, view.time_s)
                 viewport.picture_view = view
+        if viewport.picture_view is not before:
+            viewport.rate.note_shown(time.perf_counter())
         return textures
 
     def close(self) -> None:

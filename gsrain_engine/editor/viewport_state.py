@@ -23,6 +23,7 @@ from .viewport.camera_follow import ActorFollower, ChaseCamera, PathFollower
 from .viewport.obstacles import ObstacleFinder
 from .viewport.options import FULL_QUALITY, AdaptiveQuality, QualityLevel, Texture, ViewOptions
 from .viewport.picking import SkyColorPick, pick_point
+from .viewport.picture_rate import PictureRate
 
 _VIEW_SIZE = (960, 640)  # aspect ratio for home cameras
 
@@ -69,6 +70,8 @@ class ViewportState:
         self.is_moving = False
         """True if the camera has moved since the last frame."""
         self.motion = NavigationMotion()
+        self.rate = PictureRate()
+        """Pictures on the screen."""
         self.statistics: dict[str, float] = {}
         """Figures of the last frame by name, in the order of the Statistics panel."""
         self.full_ms_per_megapixel: float | None = None

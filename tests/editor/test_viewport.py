@@ -23,6 +23,7 @@ from gsrain_engine.editor.viewport.options import (
     ViewOptions,
 )
 from gsrain_engine.editor.viewport.picking import pick, pick_point
+from gsrain_engine.editor.viewport.picture_rate import PictureRate
 from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.render.cpu.renderer import CpuRenderer
@@ -384,3 +385,19 @@ def test_an_orthographic_view_is_saved_with_the_scene():
     seen, again = (each.shot(WIDTH, HEIGHT).camera for each in (viewport, other))
     np.testing.assert_array_equal(again.world_to_camera, seen.world_to_camera)
     assert again.pixels_per_m == seen.pixels_per_m and again.is_orthographic
+
+
+def test_the_pictures_on_the_screen_are_counted_and_named_by_size():
+    rate = PictureRate()
+    assert rate.words(0.0) == ""
+    for number in range(30):
+        rate.note_drawn(0.125 * number, (480, 320), is_exact=False)
+    assert rate.words(3.7) == "8 pictures/s at 480 x 320"
+    for number in range(1, 31):
+        rate.note_shown(3.7 + 0.05 * number)
+        if number % 4 == 0:
+            rate.note_drawn(3.701 + 0.05 * number, (320, 200), is_exact=False)
+    assert rate.words(5.3) == "25 pictures/s, 5 drawn at 320 x 200"
+    assert rate.words(9.0) == "320 x 200, an exact one follows"
+    rate.note_drawn(9.0, (1440, 900), is_exact=True)
+    assert rate.words(9.1) == rate.words(12.0) == "exact, 1,440 x 900"

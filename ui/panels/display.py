@@ -1,5 +1,6 @@
 """Display panel and Statistics panel."""
 
+import time
 from typing import get_args
 
 from imgui_bundle import imgui
@@ -70,7 +71,7 @@ def display_panel(viewport: ViewportState, preferences: PreferencesStore) -> Non
 
 
 def statistics_panel(viewport: ViewportState) -> None:
-    imgui.text_wrapped(f"{imgui.get_io().framerate:.1f} fps, back end: {viewport.backend}")
+    imgui.text_wrapped(f"{viewport.rate.words(time.perf_counter())}, back end: {viewport.backend}".lstrip(", "))
     if viewport.backend_reason:
         imgui.text_disabled(viewport.backend_reason)
     if viewport.detail.is_exact:
