@@ -266,6 +266,12 @@ def clear_and_rainy_compared(driver):
     assert options.split == "clear | rainy" and options.divider < 0.49
 
 
+@journey(1)
+def the_scene_from_above(driver):
+    key(driver, KEY._7)
+    assert driver.editor.viewport.shot(96, 64).camera.is_orthographic
+
+
 @journey(4, folded=5, depends_on_size=True)
 def a_flight_of_ten_seconds(driver):
     editor = driver.editor
