@@ -164,7 +164,7 @@ class StructOptions:
         try:
             value = convert_checked(_assigned_value(setting, text), kind)
         except ValueError as error:
-            raise ValueError(f"--set {name}: {error}") from None
+            raise ValueError(f"--set {name}: {error}{_unit_after(str(error), setting)}") from None
         return replace(self, assigned={**self.assigned, name: msgspec.to_builtins(value)})
 
     def settings(self, base: Any = None, **values: Any) -> Any:
@@ -366,10 +366,16 @@ def option_error(message: str, kind: type) -> str:
     """Return an error of msgspec that names options instead of fields."""
     names = option_names(kind)
     if place := _PLACE.search(message):
-        option = names.get(place[1]) or f"--set {place[1]}"
-        return f"{option}: {message[: place.start()]}"
+        option, said = names.get(place[1]) or f"--set {place[1]}", message[: place.start()]
+        units = (_unit_after(said, each) for each in fields_of(kind) if each.name == place[1])
+        return f"{option}: {said}{next(units, '')}"
     # Errors of a type's own checks name the fields: "last_s must be above first_s ..."
     return _WORD.sub(lambda word: names.get(word[0], word[0]), message)
+
+
+def _unit_after(said: str, field: Field) -> str:
+    """Unit of a bound that an error about a field ends with."""
+    return f" {field.unit}" if field.unit and " must be at " in said else ""
 
 
 @contextmanager

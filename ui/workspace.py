@@ -219,7 +219,7 @@ class Workspace:
                 textures[side] = self._warps[side].show(textures[side], relief, view.camera, view.time_s)
                 viewport.picture_view = view
         if viewport.picture_view is not before:
-            viewport.rate.note_shown(time.perf_counter())
+            viewport.rate.note_displayed(time.perf_counter())
         return textures
 
     def close(self) -> None:

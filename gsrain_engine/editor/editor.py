@@ -324,7 +324,7 @@ class Editor:
             viewport.budget.measured(result.drawn.quality, result.drawn.frame_ms)
             viewport.detail = result.drawn.quality
             size_px = frame.view.camera.width, frame.view.camera.height
-            viewport.rate.note_drawn(time.perf_counter(), size_px, is_exact=viewport.detail.is_exact)
+            viewport.rate.note_drawing(time.perf_counter(), size_px, is_exact=viewport.detail.is_exact)
             is_first = result.drawn.backend != viewport.backend  # with the loading of its kernels or shaders
             viewport.backend, viewport.backend_reason = result.drawn.backend, result.drawn.backend_reason
             viewport.statistics = dict(result.drawn.statistics)

@@ -5,6 +5,7 @@ from functools import cache
 from typing import Literal, NamedTuple
 
 from ..presets import shipped_path
+from ..safe_io.text_files import read_whole
 
 FOLDER = "docs/guide"
 FIRST_PAGE, PANELS_PAGE, VIEW_PAGE = "first_steps.md", "panels.md", "looking_around.md"
@@ -35,13 +36,13 @@ def guide_pages() -> dict[str, str]:
     folder = shipped_path(FOLDER)
     paths = [*sorted(each.name for each in folder.iterdir() if each.suffix == ".md"), *_OTHERS]
     paths.sort(key=lambda path: path != FIRST_PAGE)
-    return {path: (folder / path).read_text("utf-8").partition("\n")[0].lstrip("# ") for path in paths}
+    return {path: read_whole(folder / path).decode().partition("\n")[0].lstrip("# ") for path in paths}
 
 
 @cache
 def guide_page(path: str) -> tuple[Block, ...]:
     """Read a page by its path from the guide's folder; raises `OSError` if it is missing."""
-    return tuple(blocks_of((shipped_path(FOLDER) / path).read_text("utf-8")))
+    return tuple(blocks_of(read_whole(shipped_path(FOLDER) / path).decode()))
 
 
 def blocks_of(markdown: str) -> list[Block]:

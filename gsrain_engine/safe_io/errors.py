@@ -27,6 +27,8 @@ _TYPES = {
 }  # fmt: skip
 """Types of JSON by msgspec's names."""
 
+_OUT_OF_BOUNDS = re.compile(r"Expected `(?:int|float)` (<=|>=|<|>) (\S+)$")
+_BOUNDS = {"<=": "at most", ">=": "at least", "<": "below", ">": "above"}
 _NO_FIELD = re.compile(r"Object contains unknown field `(.*?)`")
 
 
@@ -68,6 +70,7 @@ def readable_validation_error(error: Exception, kind: Any, values: Any = None) -
     """Return the message of a failed `msgspec.convert(..., kind)`, extended by the allowed values.
 
     `Invalid value 'brak' - at $.behaviour.kind` becomes `Invalid value 'brak', expected brake, cut-in, ... - at ...`;
+    a number out of bounds becomes `500 must be at most 149 - at ...`;
     an unknown field gets the most similar field and a list of all; types get plain names. `values` is the input of the
     conversion: if several tagged objects are possible at a position, the message lists the fields of the tagged one
     only.
@@ -81,6 +84,11 @@ def readable_validation_error(error: Exception, kind: Any, values: Any = None) -
     if other is not None:
         types, actual = ([_TYPES.get(name, name) for name in names.split(" | ")] for names in other.groups())
         said = f"Expected {' or '.join(types)}, got {actual[0]}"
+    bound = _OUT_OF_BOUNDS.match(said)
+    if bound is not None:
+        value = _at(values, place[1]) if place else values
+        given = f"{value:g} " if isinstance(value, int | float) else ""
+        said = f"{given}must be {_BOUNDS[bound[1]]} {float(bound[2]):g}"
     if _WRONG_WORD.match(said):
         words = list(dict.fromkeys(_words(_types(kind, steps[:-1]), steps[-1] if steps else "")))
         said += f", expected {', '.join(words)}" if words else ""

@@ -30,10 +30,10 @@ nowhere.ply                                          | nowhere.ply: there is no 
 rendre room.ply                                      | did you mean gsrain render?
 render room.ply                                      | --output
 render nowhere.ply -o a.png                          | nowhere.ply
-render room.ply -o a.png --rain 150                  | --rain: Expected `float` <= 149.0
+render room.ply -o a.png --rain 150                  | --rain: 150 must be at most 149 mm/h
 render room.ply -o a.png --size 960                  | --size 960: expected WIDTHxHEIGHT
 render room.ply -o a.png --preset drizzle            | preset drizzle
-render room.ply -o a.png --exposure 2                | --exposure: Expected `float` <= 1.0
+render room.ply -o a.png --exposure 2                | --exposure: 2 must be at most 1 s
 drive --calibration mine.yaml                        | calibration mine.yaml: no such file
 evaluate lidar -o out --calibration mine.yaml        | calibration mine.yaml: no such file
 render room.ply -o a.png --time nan                  | --time: Expected a finite number

@@ -127,7 +127,7 @@ def test_wet_has_three_states(command, line, wet):
         ("rougness_m=1", "--set rougness_m: no such setting; did you mean roughness_m?"),
         ("rain=3", "--set rain: no such setting; did you mean intensity_mm_h?"),
         ("roughness_m", "--set roughness_m: expected NAME=VALUE"),
-        ("roughness_m=9", "--set roughness_m: Expected `float` <= 2.0"),
+        ("roughness_m=9", "--set roughness_m: 9 must be at most 2 m"),
         ("roughness_m=rough", "--set roughness_m: Expected a number"),
         ("velocity=fast", "--set velocity: "),
         ("seed=3 --seed 4", "--set seed: --seed sets it, too"),

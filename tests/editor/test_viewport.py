@@ -391,13 +391,13 @@ def test_the_pictures_on_the_screen_are_counted_and_named_by_size():
     rate = PictureRate()
     assert rate.words(0.0) == ""
     for number in range(30):
-        rate.note_drawn(0.125 * number, (480, 320), is_exact=False)
+        rate.note_drawing(0.125 * number, (480, 320), is_exact=False)
     assert rate.words(3.7) == "8 pictures/s at 480 x 320"
     for number in range(1, 31):
-        rate.note_shown(3.7 + 0.05 * number)
+        rate.note_displayed(3.7 + 0.05 * number)
         if number % 4 == 0:
-            rate.note_drawn(3.701 + 0.05 * number, (320, 200), is_exact=False)
+            rate.note_drawing(3.701 + 0.05 * number, (320, 200), is_exact=False)
     assert rate.words(5.3) == "25 pictures/s, 5 drawn at 320 x 200"
     assert rate.words(9.0) == "320 x 200, an exact one follows"
-    rate.note_drawn(9.0, (1440, 900), is_exact=True)
+    rate.note_drawing(9.0, (1440, 900), is_exact=True)
     assert rate.words(9.1) == rate.words(12.0) == "exact, 1,440 x 900"

@@ -82,7 +82,7 @@ def test_choices_replace_the_lamps_of_a_scene(tmp_path) -> None:
     [
         ("- {position: [0, 0, 1]}\n- {color: [1, 1, 1]}", "lamp 2: Object missing required field `position`"),
         ("- {position: [0, 0, 1], colour: [1, 1, 1]}", "lamp 1: .*did you mean `color`"),
-        ("- {position: [0, 0, 1], intensity_m2: -3}", r"lamp 1: Expected `float` >= 0.* at `\$.intensity_m2`"),
+        ("- {position: [0, 0, 1], intensity_m2: -3}", r"lamp 1: -3 must be at least 0 - at `\$.intensity_m2`"),
         ("- {mount: vehicles, position: [0, 0, 1]}", "lamp 1: .*unknown field `position`; valid: mount, headlight_m2"),
         ("lamps: []", "expected a list of lamps"),
         ("- {position: [0, .nan, 1]}", "finite number"),

@@ -86,7 +86,7 @@ def test_a_change_of_the_sensor_leaves_the_drops_where_they_are():
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("f_number: 0.2", "Expected `float` >= 0.7 - at `$.f_number`"), ("pixel_pitch_um: 0", "pixel_pitch_um"),
+        ("f_number: 0.2", "0.2 must be at least 0.7 - at `$.f_number`"), ("pixel_pitch_um: 0", "pixel_pitch_um"),
         ("shutter: 3", "shutter_s"), ("tone_curve: film", "tone_curve"), ("size_px: [4, 4]", "size_px"),
         ("jpeg_quality: 101", "jpeg_quality"), ("[1, 2]", "object"),
         ("chroma_blur_px: [0, 8.1]", "chroma_blur_px"),

@@ -64,10 +64,11 @@ def draw_hint(editor: Editor, corner: ImVec2, left: float, height: int) -> ImVec
     Returns its right edge and its height with the margin below.
     """
     document, files, jobs, preferences = editor.document, editor.files, editor.jobs, editor.preferences
+    rains = document.rain_now.intensity_mm_h > 0 and not (editor.viewport.is_preparing or editor.awaits_first_picture)
     has_recorded = any(each.kind == "export" for each in jobs.all)
     steps = (
         ("Open a scene", "Open...", "Choose a file or folder of Gaussians.", files.source not in (None, "street")),
-        ("Let it rain", "Moderate 5 mm/h", "Set 5 mm/h.", document.rain_now.intensity_mm_h > 0),
+        ("Let it rain", "Moderate 5 mm/h", "Set 5 mm/h.", rains),
         ("Record a video", "Record timeline...", "Choose a place for the video.", has_recorded),
     )
     if all(is_done for *_, is_done in steps):

@@ -16,13 +16,13 @@ class PictureRate:
         self.is_exact = False
         self._shown, self._drawn = deque[float](), deque[float]()
 
-    def note_drawn(self, now_s: float, size_px: tuple[int, int], *, is_exact: bool) -> None:
+    def note_drawing(self, now_s: float, size_px: tuple[int, int], *, is_exact: bool) -> None:
         """Count a picture that was drawn for the viewport."""
         self.size_px, self.is_exact = size_px, is_exact
         self._drawn.append(now_s)
-        self.note_shown(now_s)
+        self.note_displayed(now_s)
 
-    def note_shown(self, now_s: float) -> None:
+    def note_displayed(self, now_s: float) -> None:
         """Count a picture on the screen that differs from the one before, drawn or warped."""
         self._shown.append(now_s)
         for times in (self._shown, self._drawn):

@@ -15,7 +15,7 @@ streaks empty --exposure 0.004,,0.01        | --exposure 0.004,,0.01
 streaks empty --window 1,2,3                | --window 1,2,3
 streaks empty --conditions none             | conditions none: no such file
 streaks empty --report page.html            | --report page.html
-streaks empty --set aperture_mm=51          | --set aperture_mm: Expected `float` <= 50.0
+streaks empty --set aperture_mm=51          | --set aperture_mm: 51 must be at most 50 mm
 streaks empty --set exposure_s=0.1          | --set exposure_s: --exposure sets it here
 streaks none --report file/below/x.md       | file is a file
 streaks none --json file/below/x            | file is a file
