@@ -153,7 +153,8 @@ class ViewportState:
         self.following.follow("")
         eye, options, core = self.navigation, self.options, self.core
         options.orthographic, eye.pivot, eye.heading, eye.pitch = True, None, np.pi / 2, -np.pi / 2
-        width, height = _VIEW_SIZE
+        camera = None if self.picture_view is None else self.picture_view.camera
+        width, height = _VIEW_SIZE if camera is None else (camera.width, camera.height)
         down_m = height / fitted_scale(core, orientation(self.document.scene, "top"), width, height)
         eye.distance_m = down_m / (2 * float(np.tan(np.radians(eye.vertical_fov_deg) / 2)))
         eye.position = core.middle - eye.distance_m * eye.forward

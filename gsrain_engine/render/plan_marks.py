@@ -27,6 +27,7 @@ _GRID_PX = 80.0  # least distance of two lines
 _BAR_SHARE = 0.08  # least length of the scale bar, in widths of the picture
 _GRID_OPACITY = 0.35
 _MARGIN_PX, _TICK_PX = 16.0, 5.0
+_UNITS = ("km", 1000.0), ("m", 1.0), ("cm", 0.01), ("mm", 0.001)
 _FLATTEST = 0.1  # share of the line of sight that is vertical: flatter, a grid on the ground is a blur
 _MAX_LINES = 400
 _CORNERS = list(product((-1, 1), (-1, 1), (0, 1)))
@@ -51,7 +52,8 @@ class ScaleBar(NamedTuple):
     @property
     def label(self) -> str:
         """Length with its unit."""
-        return f"{self.length_m:g} m" if self.length_m < 1000 else f"{self.length_m / 1000:g} km"
+        unit, meters = next((each for each in _UNITS if self.length_m > 0.99 * each[1]), _UNITS[-1])
+        return f"{self.length_m / meters:.6g} {unit}"
 
 
 def round_length(at_least: float) -> float:

@@ -16,7 +16,7 @@ from .scene import Scene, SceneCore, ahead_of
 _EYE_HEIGHTS = 4000.0  # distance of the eye from the picture plane, in heights of the picture
 _BEFORE_CORE = 0.5  # distance of the picture plane from the core, in radii of the core: a sky is farther away
 _ASIDE_DEG, _DOWN_DEG = 45.0, 35.264  # of an isometric view
-_MARGIN = 1.05
+_MARGIN = 1.2  # of a picture around the core, beyond which things still reach
 _UP = np.array([0.0, 0.0, 1.0])
 
 

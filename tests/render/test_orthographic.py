@@ -142,6 +142,7 @@ def test_marks_are_where_they_belong():
     np.testing.assert_allclose(ego[[0, -1]], pixels_of([[0, 0, 1.5], [10, 0, 1.5]], camera), atol=0.1)
     upright = sorted({round(float(each[0, 0]), 2) for each in by_mark["grid"] if abs(np.ptp(each[:, 0])) < 1e-3})
     np.testing.assert_allclose(np.diff(upright), 80.0, atol=0.05)  # each 10 m
+    assert scale_bar(replace(camera, fx=100 * camera.fx, fy=100 * camera.fy)).label == "2 cm"
     assert scale_bar(camera).label == "2 m" and scale_bar(camera).length_px == pytest.approx(16.0)
     assert [round_length(each) for each in (0.7, 1.0, 1.2, 3.0, 600.0)] == [1.0, 1.0, 2.0, 5.0, 1000.0]
 
@@ -163,7 +164,7 @@ def test_the_command_draws_plans_to_scale(folder, tmp_path, capsys):
     picture = rendered(folder, tmp_path, "--camera", "top", "--pixels-per-meter", "6", "--rain", "12")
     core = find_scene_core(driving())
     height, width = picture.shape[:2]
-    assert (width, height) == pytest.approx(tuple(1.05 * 6 * (core.high - core.low)[:2]), abs=2)
+    assert (width, height) == pytest.approx(tuple(1.2 * 6 * (core.high - core.low)[:2]), abs=2)
     assert "6 px/m" in capsys.readouterr().out
     followed = rendered(folder, tmp_path, "--camera", "top:car", "--size", "120x80", "--time", "1")
     red = (followed[..., 0].astype(int) - followed[..., 1] > 80).nonzero()
