@@ -143,7 +143,8 @@ _PROMISING = 1.1  # share of the target frame time that a finer level may be exp
 _FORGET_AFTER = 45  # frames after which a level that was too slow may be tried once more
 _FIRST_BACKDROP = 2  # level of backdrops to begin with
 _WARPED_PATIENCE = 6.0  # of a warped picture: longer, what it shows bends; shorter, it is too coarse
-_LONG_MS = 150.0  # drawing time of a full picture from which on a refined one comes first
+_LONG_MS = 150.0  # drawing time of a full picture from which on a fast one shows a change first
+_VERY_LONG_MS = 600.0  # from which on a refined one comes first when all is at rest
 _CUTS_A_HALVING = 3  # levels of cuts from one to another of half its time
 
 
@@ -199,7 +200,7 @@ class AdaptiveQuality:
         if not self.enabled:
             return FULL_QUALITY
         if self._rested_s >= SETTLED_S:
-            refines = self._is_coarse and self.has_cuts and self._full_ms > _LONG_MS and not detail.is_exact
+            refines = self._is_coarse and self.has_cuts and self._full_ms > _VERY_LONG_MS and not detail.is_exact
             return REFINED if refines else FULL_QUALITY
         stands = self._stood_s >= SETTLED_S and not detail.is_exact
         return self._of_backdrops.levels[self._of_backdrops.present] if stands else detail
