@@ -116,7 +116,7 @@ def find_opengl() -> str:
     from gsrain_engine.render.opengl.context import nvidia_remedy
 
     found = _describe_context("egl")
-    return f"{found}; {remedy}" if found.endswith("(software)") and (remedy := nvidia_remedy()) else found
+    return f"{found}; {remedy}" if "(software)" in found and (remedy := nvidia_remedy()) else found
 
 
 @finding("OSMesa (stands in where EGL is missing)", "(optional; Debian 13 no longer has it)")
@@ -125,21 +125,28 @@ def _osmesa() -> str:
 
 
 def _describe_context(source: Literal["egl", "osmesa"]) -> str:
-    from gsrain_engine.render.opengl.context import is_software, open_context
+    from gsrain_engine.render.opengl.context import WINDOW_VERSION, is_software, open_context
 
-    context = open_context(source)
+    context = open_context(source, WINDOW_VERSION)
     with context:
         kind = "software" if is_software(context) else "GPU"
-        return f"{context.info['GL_RENDERER']}, OpenGL {context.version_code / 100:.1f} ({kind})"
+        return f"{context.info['GL_RENDERER']}, {_version(context.version_code, f' ({kind})')}"
+
+
+def _version(code: int, kind: str = "") -> str:
+    """Name a version of OpenGL, and say what follows from an old one."""
+    from gsrain_engine.render.opengl.context import RENDERER_VERSION, version_name
+
+    return f"{version_name(code)}{kind}{'' if code >= RENDERER_VERSION else ': the processor draws'}"
 
 
 @finding("fastest back end (--backend auto)")
 def _fastest() -> str:
     from gsrain_engine.backends import DeviceSpeed, measure_device
-    from gsrain_engine.render.opengl.context import NoOpenGLError, open_context
+    from gsrain_engine.render.opengl.context import WINDOW_VERSION, NoOpenGLError, open_context
 
     try:
-        context = open_context()
+        context = open_context(lowest=WINDOW_VERSION)
     except NoOpenGLError:
         return "cpu: there is no OpenGL"
     try:
@@ -255,8 +262,15 @@ def find_opencv() -> str:
 
 def _display() -> Finding:
     problem = window_problem()
-    missing = f"{problem}: rendering to files and gsrain serve work, the window does not"
-    return Finding("display", not problem, missing if problem else "the window can open")
+    if problem:
+        return Finding("display", False, f"{problem}: rendering to files and gsrain serve work, the window does not")
+
+    def version() -> str:
+        from ui.window import window_version  # loads the GUI libraries only with a display
+
+        return f"the window can open, by {_version(window_version())}"
+
+    return _tried("display", version, "(rendering to files and gsrain serve work, the window does not)")
 
 
 def find_package(module: str) -> Finding:

@@ -497,8 +497,6 @@ class Orientation:
 
 def window_problem() -> str:
     """Reason why no window can open here, in a few words; empty if one can."""
-    if sys.platform == "darwin":
-        return "macOS has OpenGL 4.1 at most, and the window needs 4.3"
     has_screen = sys.platform != "linux" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     return "" if has_screen else "no display"
 

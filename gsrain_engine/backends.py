@@ -15,7 +15,7 @@ import platformdirs
 from .choices import Backend
 from .compile_cache import has_kernels
 from .render.cpu.renderer import CpuRenderer
-from .render.opengl.context import NoOpenGLError, check_context, is_software, open_context
+from .render.opengl.context import NoOpenGLError, can_draw_scenes, check_context, is_software, lack_of, open_context
 from .render.opengl.renderer import Rasterizer, SplatRenderer
 from .render.renderer import Renderer, processor_name
 from .safe_io.files import whole_file
@@ -79,10 +79,12 @@ _FAST_MS = 15.0  # an OpenGL frame this fast needs no comparison with a CPU whos
 
 
 class DeviceSpeed(msgspec.Struct, frozen=True, kw_only=True):
-    """Times of a frame on one device and driver, by back end; empty on a software rasterizer, which is not timed."""
+    """Times of a frame on one device and driver, by back end; empty if OpenGL is not timed."""
 
     frame_ms: dict[str, float] = {}
     """Shortest wall time with read-back of 200,000 Gaussians at 960x640, by back end."""
+    untimed: str = "OpenGL is a software rasterizer here"
+    """Reason why it is not."""
 
     @property
     def rasterizer(self) -> Rasterizer:
@@ -98,7 +100,7 @@ class DeviceSpeed(msgspec.Struct, frozen=True, kw_only=True):
     def reason(self) -> str:
         """Times of which the choice is the result, in a few words."""
         if not self.frame_ms:
-            return "OpenGL is a software rasterizer here"
+            return self.untimed
         times = sorted(self.frame_ms.items(), key=lambda each: each[1])
         return ", ".join(f"{name} {milliseconds:.1f} ms" for name, milliseconds in times) + " per frame"
 
@@ -109,8 +111,10 @@ class DeviceSpeed(msgspec.Struct, frozen=True, kw_only=True):
 def measure_device(context: moderngl.Context) -> DeviceSpeed:
     """Time tiles, quads and CPU on the current context, once per device, driver and version; later calls remember it.
 
-    Nothing is timed on a software rasterizer.
+    Nothing is timed on a software rasterizer, or where OpenGL draws no scenes.
     """
+    if not can_draw_scenes(context):
+        return DeviceSpeed(untimed=lack_of(context))
     if is_software(context):
         return DeviceSpeed()
     file = _speed_file(context)

@@ -1,4 +1,4 @@
-#version 430
+#version 410
 // A round dot in the point's color; nothing around it.
 
 in vec3 point_color;

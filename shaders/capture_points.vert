@@ -1,4 +1,4 @@
-#version 430
+#version 410
 // Measured points of a capture (COLMAP, lidar), a few pixels each.
 // In: positions in the capture's world and sRGB colors; a camera with OpenCV axes (x right, y down, z forward).
 // No races: no thread writes but its own vertex, and the depth test decides which of two dots is in front.

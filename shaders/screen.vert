@@ -1,4 +1,4 @@
-#version 430
+#version 410
 // One triangle that covers the screen.
 
 void main() {

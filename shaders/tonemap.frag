@@ -1,4 +1,4 @@
-#version 430
+#version 410
 // Converts the premultiplied image for the screen: sharpening, background, display gain, clamp.
 
 #include "common_srgb.glsl"

@@ -1,4 +1,4 @@
-#version 430
+#version 410
 // A picture on its relief.
 
 uniform sampler2D picture;

@@ -1,4 +1,4 @@
-#version 430
+#version 410
 // Corner of a picture's relief, seen by another camera at another time. The outermost corners are beside the picture,
 // for what the camera has turned to.
 

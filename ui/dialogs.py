@@ -25,7 +25,7 @@ from .panels.views import name_field, view_options
 from .tools import TOOLS
 from .widgets.fields import LOGARITHMIC, button
 from .widgets.file_dialogs import SCENE_FOLDERS, ask_where_to_save
-from .widgets.text import visible_name
+from .widgets.text import key_names, visible_name
 from .widgets.type_ahead import is_menu_open
 
 
@@ -87,7 +87,8 @@ def _news() -> News:
 
 _MOUSE_AND_FLIGHT = [
     ("Left drag", "Orbit, or what the tool does"), ("Right drag", "Look around"),
-    ("Middle drag", "Move sideways and up"), ("Wheel", "Nearer, farther"), ("Ctrl+Wheel", "Fly faster or slower"),
+    ("Middle drag", "Move sideways and up"), ("Wheel", "Nearer, farther"), ("Wheel sideways", "Move sideways"),
+    ("Ctrl+Wheel", "Fly faster or slower"),
     ("W A S D", "Fly forward, left, back, right"), ("Q E", "Fly down, up"), ("Shift", "Fly four times as fast"),
 ]  # fmt: skip
 
@@ -120,7 +121,7 @@ def _group(title: str, rows: list[tuple[str, str]]) -> None:
         for keys, effect in rows:
             imgui.table_next_row()
             imgui.table_next_column()
-            imgui.text_disabled(keys)
+            imgui.text_disabled(key_names(keys))
             imgui.table_next_column()
             imgui.text(effect)
         imgui.end_table()
@@ -346,7 +347,13 @@ def _found(rows: list[_PaletteRow], words: list[str]) -> list[_PaletteRow]:
 
 def _rows(editor: Editor) -> list[_PaletteRow]:
     rows = [
-        _PaletteRow(each.title(editor), each.key_names, each.help, each.can_run(editor), partial(each.perform, editor))
+        _PaletteRow(
+            each.title(editor),
+            key_names(each.key_names),
+            each.help,
+            each.can_run(editor),
+            partial(each.perform, editor),
+        )
         for each in all_commands()
         if each.is_listed(editor)
     ]

@@ -16,7 +16,7 @@ from .folding import bring_to_front, panel_windows
 from .panels.jobs import job_tray, tray_width
 from .tools import TOOLS
 from .widgets.fields import WARNING
-from .widgets.text import label
+from .widgets.text import key_names, label
 from .widgets.type_ahead import has_keys
 
 _NO_OWNER = 0xFFFFFFFF  # ImGuiKeyOwner_NoOwner
@@ -101,7 +101,7 @@ def _underline(title: str) -> None:
 
 def _item(editor: Editor, command: Command) -> None:
     is_on = command.is_checked(editor)
-    keys = command.key_names.split(" or ")[0]
+    keys = key_names(command.key_names.split(" or ")[0])
     clicked, _ = imgui.menu_item(command.title(editor), keys, is_on, command.can_run(editor))
     if command.help:
         imgui.set_item_tooltip(command.help)

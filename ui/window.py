@@ -33,7 +33,17 @@ from PIL import Image
 
 from gsrain_engine.editor.preferences import Preferences, config_folder, load_preferences, state_folder
 from gsrain_engine.malloc_tuning import use_one_arena
-from gsrain_engine.render.opengl.context import DeviceLostError, check_context, context_monitor, monitor_context
+from gsrain_engine.render.opengl.context import (
+    WINDOW_VERSION,
+    DeviceLostError,
+    NoOpenGLError,
+    check_can_draw_scenes,
+    check_context,
+    context_monitor,
+    monitor_context,
+    open_newest,
+    version_name,
+)
 from gsrain_engine.safe_io.files import whole_file
 from gsrain_engine.safe_io.text_files import escape_invisible
 from gsrain_engine.simulation.rollout_io import ROLLOUT_SUFFIXES
@@ -117,12 +127,6 @@ def run_window(
     Raises `OSError` if the display can't be opened, its driver fails, or the window can't restart.
     """
     began = time.monotonic()
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", glfw.GLFWError)
-        if not glfw.init():
-            raise OSError("the display can't be opened (DISPLAY or WAYLAND_DISPLAY names one that is not there)")
-        # hello_imgui creates its window after this. Drivers without support ignore the hint.
-        glfw.window_hint(glfw.CONTEXT_ROBUSTNESS, glfw.LOSE_CONTEXT_ON_RESET)
     window = MainWindow(begin, backend, on_frame)
     for ending in _ENDINGS:
         signal.signal(ending, lambda number, _: window.end(number))
@@ -207,8 +211,7 @@ class MainWindow:
         callbacks.post_new_frame = lambda: self._input.continue_frame() if self._input else None
         callbacks.after_swap = self._guarded(self._rest)
         callbacks.before_exit = self._end
-        # ImGui antialiases its own edges: multisampling would only slow down software rendering.
-        parameters.renderer_backend_options.open_gl_options = hello_imgui.OpenGlOptions(anti_aliasing_samples=0)
+        parameters.renderer_backend_options.open_gl_options = _context_options(window_version())
         parameters.fps_idling.enable_idling = False
         parameters.fps_idling.fps_idle = 0.3  # 80 ms a frame in software rendering; events wake it up
         parameters.fps_idling.fps_max = 30.0
@@ -265,8 +268,13 @@ class MainWindow:
         set_window_icon(window)
         self._content_scale = _content_scale()
         implot.create_context()
-        self._context = moderngl.create_context(require=430)
-        monitor_context(self._context, glfw.get_proc_address)
+        self._context = _present_context()
+        if self._backend.startswith("opengl"):
+            try:
+                check_can_draw_scenes(self._context)
+            except NoOpenGLError as failure:
+                self.failure = failure  # hello_imgui ends cleanly in a frame
+                return
         self._pictures = SharedContext(window)
         glfw.set_drop_callback(window, lambda _, paths: self.drop(paths))
         glfw.set_window_close_callback(window, lambda _: self.ask_to_close())
@@ -365,8 +373,16 @@ class MainWindow:
 
 
 def _content_scale() -> float:
-    """Scale of the monitor that the window is on, such as 2.0."""
-    return float(glfw.get_window_content_scale(glfw_utils.glfw_window_hello_imgui())[0]) or 1.0
+    """Scale of the monitor that the window is on, such as 2.0, as far as the system does not enlarge the window."""
+    window: Any = glfw_utils.glfw_window_hello_imgui()
+    sizes = glfw.get_framebuffer_size(window)[0], glfw.get_window_size(window)[0]
+    return interface_scale(glfw.get_window_content_scale(window)[0], *sizes)
+
+
+def interface_scale(monitor_scale: float, framebuffer_px: int, window_px: int) -> float:
+    """Return the scale of text and widgets: where a window has several pixels per unit, as on macOS, they have, too."""
+    pixel_ratio = framebuffer_px / window_px if framebuffer_px and window_px else 1.0
+    return round(monitor_scale / pixel_ratio, 2) or 1.0
 
 
 def leave_out_background(window: hello_imgui.DockableWindow) -> None:
@@ -385,13 +401,67 @@ def leave_out_background(window: hello_imgui.DockableWindow) -> None:
     window.gui_function = draw_window
 
 
-# OpenGL context of the pictures
+# OpenGL contexts of the interface and of the pictures
 
 
 _SHARED_ATTRIBUTES = (
     glfw.CONTEXT_CREATION_API, glfw.CONTEXT_ROBUSTNESS, glfw.CONTEXT_VERSION_MAJOR, glfw.CONTEXT_VERSION_MINOR,
-    glfw.OPENGL_PROFILE,
+    glfw.OPENGL_PROFILE, glfw.OPENGL_FORWARD_COMPAT,
 )  # fmt: skip
+
+
+def window_version() -> int:
+    """Return the newest OpenGL that a window here can have, such as 450, and let the next window report lost contexts.
+
+    Raises `OSError` if the display can't be opened, or its driver has none of `VERSIONS`.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", glfw.GLFWError)  # of refused versions
+        if not glfw.init():
+            raise OSError("the display can't be opened (DISPLAY or WAYLAND_DISPLAY names one that is not there)")
+        # Hints are for all windows that are created after them. Drivers without support ignore this one.
+        glfw.window_hint(glfw.CONTEXT_ROBUSTNESS, glfw.LOSE_CONTEXT_ON_RESET)
+        version = open_newest(_actual_version)
+        glfw.window_hint(glfw.VISIBLE, True)
+    return version
+
+
+def _context_options(version: int) -> hello_imgui.OpenGlOptions:
+    return hello_imgui.OpenGlOptions(
+        major_version=version // 100,
+        minor_version=version // 10 % 10,
+        glsl_version=str(WINDOW_VERSION),
+        use_core_profile=True,
+        use_forward_compat=True,  # macOS has no others
+        anti_aliasing_samples=0,  # ImGui antialiases its own edges: it would only slow down software rendering
+    )
+
+
+def _actual_version(version: int) -> int:
+    """Return the version that an invisible window gets if it asks for one; raises `OSError` if it gets none."""
+    for hint, value in (
+        (glfw.VISIBLE, False),
+        (glfw.CONTEXT_VERSION_MAJOR, version // 100),
+        (glfw.CONTEXT_VERSION_MINOR, version // 10 % 10),
+        (glfw.OPENGL_PROFILE, glfw.OPENGL_CORE_PROFILE),
+        (glfw.OPENGL_FORWARD_COMPAT, True),
+    ):
+        glfw.window_hint(hint, value)
+    window: Any = glfw.create_window(16, 16, "GSRAIN", None, None)
+    if not window:
+        raise OSError(f"the graphics driver has no {version_name(version)}, which the window needs")
+    major, minor = (
+        glfw.get_window_attrib(window, each) for each in (glfw.CONTEXT_VERSION_MAJOR, glfw.CONTEXT_VERSION_MINOR)
+    )
+    glfw.destroy_window(window)
+    return 100 * major + 10 * minor
+
+
+def _present_context() -> moderngl.Context:
+    """Return the context that is current on this thread, with a monitor of its loss."""
+    context = moderngl.create_context(context=_Loader(), require=WINDOW_VERSION)  # pyright: ignore[reportArgumentType]
+    monitor_context(context, glfw.get_proc_address)
+    return context
 
 
 class _Loader:
@@ -416,12 +486,7 @@ class SharedContext:
     def __init__(self, window: Any) -> None:
         """Raises `OSError` if the driver opens no second context."""
         glfw.window_hint(glfw.VISIBLE, False)
-        for hint in (
-            glfw.CONTEXT_ROBUSTNESS,
-            glfw.CONTEXT_VERSION_MAJOR,
-            glfw.CONTEXT_VERSION_MINOR,
-            glfw.OPENGL_PROFILE,
-        ):
+        for hint in _SHARED_ATTRIBUTES:
             glfw.window_hint(hint, glfw.get_window_attrib(window, hint))
         self._window: Any = glfw.create_window(16, 16, "GSRAIN", None, window)
         glfw.default_window_hints()
@@ -432,8 +497,7 @@ class SharedContext:
     def enter(self) -> moderngl.Context:
         """Make it current on the calling thread."""
         glfw.make_context_current(self._window)
-        context = moderngl.create_context(context=_Loader(), require=430)  # pyright: ignore[reportArgumentType]
-        monitor_context(context, glfw.get_proc_address)
+        context = _present_context()
         # Called through ctypes, unlike moderngl's, it lets other threads run.
         self._finish = ctypes.CFUNCTYPE(None)(glfw.get_proc_address("glFinish"))
         return context

@@ -87,6 +87,7 @@ def viewport_panel(
 
 
 _RADIANS_PER_PIXEL = 0.005
+_PAN_PER_STEP = 0.05  # share of the image height
 _FAST = 4.0
 _KEYS = {
     imgui.Key.w: (1, 0, 0), imgui.Key.s: (-1, 0, 0), imgui.Key.d: (0, 1, 0), imgui.Key.a: (0, -1, 0),
@@ -119,6 +120,9 @@ def _navigate_by_mouse(viewport: ViewportState, canvas: Canvas, uses_left: bool)
         else:
             viewport.stop_riding()
             viewport.dolly(io.mouse_wheel)
+    if canvas.hovered and io.mouse_wheel_h:  # of a tilting wheel, or two fingers on a trackpad
+        viewport.stop_riding()
+        viewport.navigation.pan(-_PAN_PER_STEP * io.mouse_wheel_h, 0.0)
 
 
 def _navigate_by_keys(viewport: ViewportState) -> None:

@@ -1,4 +1,4 @@
-"""Text in the window: tables of values, and escaping of names."""
+"""Text in the window: tables of values, names of keys, and escaping of names."""
 
 import re
 from collections.abc import Callable, Iterable
@@ -32,6 +32,12 @@ def inline_text(text: str, *, faint: bool = False) -> None:
     imgui.same_line()
 
 
+def key_names(text: str) -> str:
+    """Return a text with keys as they are named here: Cmd for Ctrl on macOS, where Dear ImGui exchanges them."""
+    is_mac = "Ctrl" in text and imgui.get_io().config_mac_osx_behaviors
+    return text.replace("Ctrl", "Cmd") if is_mac else text
+
+
 # Names from files: their text must not act as a label's id, change the text direction or crash the window
 
 _HIDDEN = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
@@ -49,6 +55,9 @@ _DRAWING = (
 
 _ONLY_WORDS = ("separator_text", "progress_bar")
 """Functions whose text has no identity, but which still hide text after ##."""
+
+_TOOLTIPS = ("set_tooltip", "set_item_tooltip")
+"""Functions whose text names keys."""
 
 
 def label(name: str, identity: str = "") -> str:
@@ -70,7 +79,8 @@ def escape_all_text() -> None:
     for name in _DRAWING:
         function = getattr(imgui, name)
         if not hasattr(function, "__wrapped__"):
-            setattr(imgui, name, _escaping(function, _all_words if name in _ONLY_WORDS else None))
+            words = _all_words if name in _ONLY_WORDS else key_names if name in _TOOLTIPS else None
+            setattr(imgui, name, _escaping(function, words))
     if not hasattr(imgui.ImDrawList.add_text, "__wrapped__"):
         imgui.ImDrawList.add_text = _escaping(imgui.ImDrawList.add_text)
 

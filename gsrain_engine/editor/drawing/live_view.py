@@ -22,7 +22,7 @@ from ...render.frame_input import CameraMemory, FrameInput, Mount, Quality
 from ...render.images import write_png
 from ...render.level_of_detail import LodCut, LodSubset, Thinning
 from ...render.opengl.buffers import GpuArrays
-from ...render.opengl.context import check_context
+from ...render.opengl.context import can_draw_scenes, check_context, version_name
 from ...render.opengl.renderer import Screen, SplatRenderer
 from ...render.passes.glass import ego_motion
 from ...render.relief import Relief
@@ -64,7 +64,8 @@ class LiveView:
     The fastest way draws (`measure_device`): tiles on a GPU; if OpenGL is a software rasterizer, the CPU renderer,
     which draws the same image several times faster. OpenGL substitutes, without rain, until another process has
     compiled the CPU kernels; if they are cached, the viewport waits for them instead, because compiling shaders takes
-    longer. `backend` overrides the choice.
+    longer. `backend` overrides the choice. Where OpenGL is too old for `SplatRenderer`, it only shows the processor's
+    images: a `backend` of OpenGL raises `NoOpenGLError` there.
     """
 
     def __init__(
@@ -82,8 +83,13 @@ class LiveView:
         self._finish = finish or context.finish
         self.speed = measure_device(context)
         """Times by which the back end was chosen."""
-        self._opengl = SplatRenderer(context, rasterizer=rasterizer_for(backend, self.speed))
         on_cpu = self.speed.is_cpu_fastest if backend == "auto" else backend == "cpu"
+        self._opengl: SplatRenderer | None = None
+        """None where it is too old."""
+        if can_draw_scenes(context) or not on_cpu:
+            self._opengl = SplatRenderer(context, rasterizer=rasterizer_for(backend, self.speed))
+        self.arrays = GpuArrays(context) if self._opengl is None else self._opengl.arrays
+        """Arrays of Gaussians on the GPU."""
         self._checkpoint = checkpoint
         self._cpu = CpuTexture(context) if on_cpu else None
         self._waits_until = 0.0
@@ -105,7 +111,7 @@ class LiveView:
         self._pending: PendingScene | None = None
         self._preparing: Iterator[None] = iter(())
         self._is_pending_ready = False
-        self._upload = SceneUpload(self._opengl)
+        self._upload = SceneUpload(self.arrays)
         self._is_uploading = False  # a pane still shows an older scene
         self._upload_until = 0.0
         self._thinnings: dict[float, LodSubset] = {}
@@ -127,19 +133,22 @@ class LiveView:
             self._cpu = self._cpu or CpuTexture(self.context)
             self._cpu.compile()
             self._upload.give_up()
-            self._opengl.arrays.release_everything()
+            self.arrays.release_everything()
             problem = f"{error}: the processor draws from now on"
             return DrawResult(frame, self.last_textures, self.last_reliefs, is_compiling=True, problems=[problem])
 
     def _draw(self, frame: RenderInput) -> DrawResult:
         if self._cpu is not None and self._cpu.has_failed:
+            if self._opengl is None:
+                version = version_name(self.context.version_code)
+                raise OSError(f"the processor's kernels can't be compiled, and {version} draws no scenes instead")
             self._cpu, self._gpu_is_full, self._compiles = None, False, False
             for pane in self._panes:
                 pane.state = None  # drawn again, with rain
         self._on_cpu = self._cpu is not None and self._cpu.is_ready  # once a frame: it may change at any moment
         self._can_draw = self._cpu is None or self._on_cpu or self._substitutes_cpu(frame.scene)
-        if frame.harmonics != self._opengl.arrays.harmonics:
-            self._opengl.arrays.keep_harmonics_as(frame.harmonics)
+        if frame.harmonics != self.arrays.harmonics:
+            self.arrays.keep_harmonics_as(frame.harmonics)
             self._upload.give_up()
             self._pending, self._is_pending_ready = None, False  # its upload starts over
         self._is_uploading, self._upload_until = False, time.perf_counter() + _UPLOAD_S
@@ -185,11 +194,6 @@ class LiveView:
         return result
 
     @property
-    def arrays(self) -> GpuArrays:
-        """Arrays of Gaussians on the GPU."""
-        return self._opengl.arrays
-
-    @property
     def is_settled(self) -> bool:
         """True if no other back end takes over from the active one."""
         return self._is_empty or self._cpu is None or self._cpu.is_ready or self._cpu.has_failed
@@ -226,17 +230,25 @@ class LiveView:
 
     def _substitutes_cpu(self, scene: Scene) -> bool:
         """Return whether OpenGL draws until the CPU renderer is ready."""
+        if self._opengl is None:
+            return False
         waits = time.perf_counter() < self._waits_until  # its kernels are loaded soon
         return not (waits or self._gpu_is_full) and scene.gaussian_count <= _STAND_IN_GAUSSIANS
 
     @property
     def _renderer(self) -> Renderer:
-        return self._cpu.renderer if self._cpu is not None and self._on_cpu else self._opengl
+        if self._cpu is not None and self._on_cpu:
+            return self._cpu.renderer
+        assert self._opengl is not None, "nothing is drawn before the processor can"
+        return self._opengl
 
     def _texture(self, picture: DrawnPicture, camera: Hashable, background: Color) -> moderngl.Texture:
         """Texture of a picture that was just drawn; of one behind glass, that of its camera."""
         if not picture.filters:
-            return self._cpu.upload() if self._cpu is not None and self._on_cpu else self._opengl.picture
+            if self._cpu is not None and self._on_cpu:
+                return self._cpu.upload()
+            assert self._opengl is not None, "drawn before"
+            return self._opengl.picture
         pixels = picture.read_uint8(background)
         height, width = pixels.shape[:2]
         texture = self._filtered.get(camera)
@@ -256,7 +268,7 @@ class LiveView:
             self._thinnings.clear()
             self._thinned = frame.scene
             self._upload.give_up()
-            self._opengl.arrays.release_everything()
+            self.arrays.release_everything()
             for pane in self._panes:
                 pane.still, pane.reuse, pane.relief = StillScene(), ViewReuse(_MIRROR_EVERY), None
             if self._cpu is not None:
@@ -382,7 +394,8 @@ class LiveView:
             figures["merged details MB"] = 1e-6 * self.trees.nbytes
         if statistics.pairs_left_out:
             figures["tile pairs without room"] = statistics.pairs_left_out
-        name = self._renderer.name if self._on_cpu else f"opengl-{self._opengl.rasterizer}"
+        renderer = self._renderer
+        name = f"opengl-{renderer.rasterizer}" if isinstance(renderer, SplatRenderer) else renderer.name
         return DrawnImage(frame.quality, milliseconds, name, self.speed.reason, figures)
 
     def _prepare(self, frame: RenderInput) -> None:
@@ -392,7 +405,7 @@ class LiveView:
                 self._upload.give_up()
             elif self._pending is not None and self._pending.is_opened:
                 self._sky.forget()
-                self._opengl.arrays.release_all_but(uploads_of(frame.scene.members))
+                self.arrays.release_all_but(uploads_of(frame.scene.members))
             self._pending, self._is_pending_ready = frame.pending, False
             self._preparing = iter(()) if frame.pending is None else self._preparations(frame.pending.scene)
         while self._pending is not None and not self._is_pending_ready:
@@ -472,15 +485,14 @@ def _fingerprint(frame: RenderInput, scene: Scene, rainfall: RainSimulation, sky
 class SceneUpload:
     """Uploads one scene at a time; earlier scenes stay on the GPU as long as there is room."""
 
-    def __init__(self, renderer: SplatRenderer) -> None:
-        self._renderer = renderer
+    def __init__(self, arrays: GpuArrays) -> None:
+        self._arrays = arrays
         self._scene: Scene | None = None
         self._slices: Iterator[float] = iter(())
 
     def missing(self, scene: Scene) -> int:
         """Number of Gaussians a frame would have to upload to draw a scene."""
-        arrays = self._renderer.arrays
-        return sum(arrays.missing(*each) for each in uploads_of(each for each in scene.members if each.visible))
+        return sum(self._arrays.missing(*each) for each in uploads_of(each for each in scene.members if each.visible))
 
     def go_on(self, scene: Scene, until_s: float) -> bool:
         """Upload missing slices of a scene until a time of `time.perf_counter`; return whether all are uploaded."""
@@ -488,9 +500,7 @@ class SceneUpload:
             parts = list(uploads_of(each for each in scene.members if each.visible))
             self._scene = scene
             self._slices = (
-                slice_
-                for gaussians, wet_sh in parts
-                for slice_ in self._renderer.arrays.upload(gaussians, wet_sh=wet_sh)
+                slice_ for gaussians, wet_sh in parts for slice_ in self._arrays.upload(gaussians, wet_sh=wet_sh)
             )
         while next(self._slices, None) is not None:
             if time.perf_counter() >= until_s:
@@ -501,7 +511,7 @@ class SceneUpload:
     def give_up(self) -> None:
         """Release the slices uploaded for a scene that will not be shown."""
         self._scene, self._slices = None, iter(())
-        self._renderer.arrays.release_awaited()
+        self._arrays.release_awaited()
 
 
 def uploads_of(members: Iterable[Layer | Actor]) -> Iterator[tuple[Gaussians, Float32[np.ndarray, "n k 3"] | None]]:

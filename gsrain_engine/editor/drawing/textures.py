@@ -223,9 +223,9 @@ class CpuTexture:
     def _compile(self) -> None:
         try:
             load_kernels(lambda count: setattr(self, "compiled", count))
-        except Exception:  # OpenGL draws instead, slower; the window must not end
+        except Exception:  # OpenGL draws instead, slower, if it can
             self.has_failed = True
-            logger.exception("The processor's kernels can't be compiled; OpenGL draws instead")
+            logger.exception("The processor's kernels can't be compiled")
         else:
             _are_loaded.set()
             self._compiled.set()

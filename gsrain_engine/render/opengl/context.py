@@ -1,4 +1,4 @@
-"""OpenGL contexts without a window (EGL or OSMesa; WGL on Windows), and detection of lost contexts."""
+"""OpenGL contexts without a window (EGL or OSMesa; WGL, CGL), the versions, and detection of lost contexts."""
 
 import ctypes
 import ctypes.util
@@ -6,38 +6,87 @@ import os
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import moderngl
 
-REQUIRED_VERSION = 430  # OpenGL 4.3: compute shaders and storage buffers
+RENDERER_VERSION = 430
+"""OpenGL 4.3, which draws scenes: compute shaders and storage buffers."""
+WINDOW_VERSION = 410
+"""OpenGL 4.1, of the interface and of pictures that the processor has drawn: the newest of macOS."""
+VERSIONS = (WINDOW_VERSION,) if sys.platform == "darwin" else (RENDERER_VERSION, WINDOW_VERSION)
+"""Versions to ask for, in this order. Some drivers give exactly that one (NVIDIA), others their newest (Mesa)."""
 _NVIDIA_DEVICE = Path("/dev/nvidiactl")
 ContextSource = Literal["auto", "egl", "osmesa"]
+_Created = TypeVar("_Created")
 
 
 class NoOpenGLError(OSError):
-    """Raised if no OpenGL 4.3 context can be opened; lists the attempts and the packages to install."""
+    """Raised if there is no OpenGL that is new enough; lists the attempts and the packages to install."""
 
 
-def open_context(source: ContextSource = "auto") -> moderngl.Context:
-    """Open an OpenGL 4.3 context without a window. It is current within `with context:`, which may be nested."""
+def open_newest(create: Callable[[int], _Created]) -> _Created:
+    """Return what `create` makes for the first of `VERSIONS` for which it raises no error."""
+    for version in VERSIONS[:-1]:
+        with suppress(Exception):
+            return create(version)
+    return create(VERSIONS[-1])
+
+
+def open_context(source: ContextSource = "auto", lowest: int = RENDERER_VERSION) -> moderngl.Context:
+    """Open a context without a window. It is current within `with context:`, which may be nested.
+
+    Raises `NoOpenGLError` if none has the version `lowest`, such as `WINDOW_VERSION`.
+    """
     openers = {"egl": _open_egl, "osmesa": lambda: _context_of(_OSMesa())}
     tried: list[str] = []
+    is_old = False
     for name in openers if source == "auto" else (source,):
         try:
             context = openers[name]()
             context.__exit__(None, None, None)
-            return context
         except Exception as error:  # drivers raise all kinds of errors; the message lists them
             tried.append(f"{name}: {error}")
-    raise NoOpenGLError(f"no OpenGL 4.3 without a window ({'; '.join(tried)}). {_remedy(source)}")
+            continue
+        if context.version_code >= lowest:
+            return context
+        is_old = True
+        tried.append(f"{name}: {version_name(context.version_code)}")
+        context.release()
+    needed = f"no {version_name(lowest)} without a window ({'; '.join(tried)})"
+    raise NoOpenGLError(f"{needed}. {_remedy(source, is_old=is_old)}")
 
 
-def _remedy(source: ContextSource) -> str:
-    """Return the way to OpenGL 4.3 on this system."""
+def version_name(code: int) -> str:
+    """Name a version of moderngl, such as "OpenGL 4.1" for 410."""
+    return f"OpenGL {code // 100}.{code // 10 % 10}"
+
+
+def can_draw_scenes(context: moderngl.Context) -> bool:
+    """Return whether `SplatRenderer` can draw in a context; the window shows the processor's pictures in others."""
+    return context.version_code >= RENDERER_VERSION
+
+
+def check_can_draw_scenes(context: moderngl.Context) -> None:
+    """Raise `NoOpenGLError` unless `can_draw_scenes`."""
+    if not can_draw_scenes(context):
+        raise NoOpenGLError(f"{lack_of(context)}: --backend auto or cpu draws by the processor")
+
+
+def lack_of(context: moderngl.Context) -> str:
+    """Reason why an old context draws no scenes, in a few words."""
+    needed = version_name(RENDERER_VERSION)
+    return f"{version_name(context.version_code)} has no compute shaders ({needed} and later have)"
+
+
+def _remedy(source: ContextSource, *, is_old: bool) -> str:
+    """Return the way to a newer OpenGL on this system; `is_old` if there is one at all."""
     if sys.platform == "darwin":
         return "macOS has 4.1 at most; --backend cpu needs none"
+    if is_old:
+        return "A newer driver may bring it; --backend cpu needs none"
     if sys.platform == "win32":
         return "The driver of the graphics card brings it; --backend cpu needs none"
     packages = "libosmesa6" if source == "osmesa" else "libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri"
@@ -64,14 +113,14 @@ def _open_egl() -> moderngl.Context:
         context = _context_of(loader)
     except (OSError, AttributeError):  # no such library or function
         # On Windows, one of a hidden window. moderngl's stub types keyword arguments of a loader as a dictionary.
-        options: Any = {} if sys.platform == "win32" else {"backend": "egl"}
-        return moderngl.create_context(standalone=True, require=REQUIRED_VERSION, **options)
+        options: Any = {"backend": "egl"} if sys.platform == "linux" else {}
+        return open_newest(lambda version: moderngl.create_context(standalone=True, require=version, **options))
     monitor_context(context, loader.load_opengl_function)
     return context
 
 
 def _context_of(loader: Any) -> moderngl.Context:
-    return moderngl.create_context(context=loader, require=REQUIRED_VERSION)
+    return moderngl.create_context(context=loader, require=WINDOW_VERSION)
 
 
 class _OSMesa:
@@ -81,10 +130,8 @@ class _OSMesa:
         0x22, 0x1908,  # OSMESA_FORMAT, OSMESA_RGBA
         0x30, 24,  # OSMESA_DEPTH_BITS
         0x33, 0x34,  # OSMESA_PROFILE, OSMESA_CORE_PROFILE
-        0x36, 4,  # OSMESA_CONTEXT_MAJOR_VERSION
-        0x37, 3,  # OSMESA_CONTEXT_MINOR_VERSION
-        0,
     )  # fmt: skip
+    _MAJOR, _MINOR = 0x36, 0x37  # OSMESA_CONTEXT_MAJOR_VERSION, OSMESA_CONTEXT_MINOR_VERSION
 
     def __init__(self) -> None:
         name = os.environ.get("GSRAIN_OSMESA_LIBRARY") or ctypes.util.find_library("OSMesa") or "libOSMesa.so.8"
@@ -95,11 +142,14 @@ class _OSMesa:
         library.OSMesaGetProcAddress.restype = ctypes.c_void_p
         library.OSMesaGetProcAddress.argtypes = [ctypes.c_char_p]
         library.OSMesaDestroyContext.argtypes = [ctypes.c_void_p]
-        attributes = (ctypes.c_int * len(self._ATTRIBUTES))(*self._ATTRIBUTES)
         self._library, self._depth = library, 0
-        self._handle = library.OSMesaCreateContextAttribs(attributes, None)
-        if not self._handle:
-            raise RuntimeError(f"{name} gives no OpenGL 4.3 core context")
+
+        def create(version: int) -> int:
+            versioned = (self._MAJOR, version // 100, self._MINOR, version // 10 % 10)
+            handle = library.OSMesaCreateContextAttribs(_numbers((*self._ATTRIBUTES, *versioned, 0)), None)
+            return _need(handle, f"{name} gives no {version_name(version)} core context")
+
+        self._handle: int | None = open_newest(create)
         self._screen = (ctypes.c_ubyte * (4 * 4 * 4))()  # the default framebuffer is never used
         self.__enter__()
 
@@ -135,9 +185,8 @@ _CONFIG = (
     0x3040, 0x0008,  # EGL_RENDERABLE_TYPE, EGL_OPENGL_BIT
     0x3038,  # EGL_NONE
 )  # fmt: skip
+_MAJOR, _MINOR = 0x3098, 0x30FB  # EGL_CONTEXT_MAJOR_VERSION, EGL_CONTEXT_MINOR_VERSION
 _CONTEXT = (
-    0x3098, 4,  # EGL_CONTEXT_MAJOR_VERSION
-    0x30FB, 3,  # EGL_CONTEXT_MINOR_VERSION
     0x30FD, 0x0001,  # EGL_CONTEXT_OPENGL_PROFILE_MASK, EGL_CONTEXT_OPENGL_CORE_PROFILE_BIT
     0x31BD, 0x31BF,  # EGL_CONTEXT_OPENGL_RESET_NOTIFICATION_STRATEGY, EGL_LOSE_CONTEXT_ON_RESET
     0x3038,  # EGL_NONE
@@ -163,8 +212,12 @@ class EglContext:
         _need(initialize(self._display, None, None), "no display")
         _need(choose(self._display, _numbers(_CONFIG), ctypes.byref(config), 1, ctypes.byref(found)), "no config")
         _need(found.value and _function(library.eglBindAPI, _INT, _INT)(_OPENGL_API), "no OpenGL")
-        context = create(self._display, config, None, _numbers(_CONTEXT))
-        self._context = _need(context, "no context that tells of resets")
+
+        def create_of(version: int) -> int:
+            attributes = _numbers((_MAJOR, version // 100, _MINOR, version // 10 % 10, *_CONTEXT))
+            return _need(create(self._display, config, None, attributes), "no context that tells of resets")
+
+        self._context: int | None = open_newest(create_of)
         self._before: list[tuple[int | None, ...]] = []
         self.__enter__()
 

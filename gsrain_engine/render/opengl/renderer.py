@@ -32,7 +32,7 @@ from ..renderer import (
     timed,
 )
 from .buffers import GpuArrays, GrowableBuffer, Harmonics, ProjectedSplatBuffer, check_gpu_memory
-from .context import check_context, is_software
+from .context import check_can_draw_scenes, check_context, is_software
 from .projection import ProjectionPass, sky_uniforms
 from .shaders import GpuTimers, Switches, load_compute_shader, load_program
 from .sort import SLOTS, CpuSort, RadixSort, count_in
@@ -108,7 +108,7 @@ class SplatRenderer:
     Call it on the thread and in the context in which it was created.
 
     Args:
-        context: OpenGL 4.3 or later.
+        context: OpenGL 4.3 or later; raises `NoOpenGLError` for others.
         harmonics: GPU storage of colors.
         activates: Make the context current to draw and read, so that several can be used alternately on one thread.
         rasterizer: None takes quads on software rasterizers, or else tiles.
@@ -126,6 +126,7 @@ class SplatRenderer:
         rasterizer: Rasterizer | None = None,
         timers: GpuTimers | None = None,
     ) -> None:
+        check_can_draw_scenes(context)
         self.context = context
         self._active: AbstractContextManager[object] = context if activates else nullcontext()
         self.arrays = GpuArrays(context, harmonics)
