@@ -14,6 +14,7 @@ from small_scene import small_scene
 from ui.commands.keys import chord
 from ui.input_queue import XEvent
 from ui.widgets.numbers import slide
+from ui.widgets.text import key_names
 from ui.window import MainWindow
 from window_driver import hello_imgui, imgui, shrink_painting, wait_for_double_clicks
 
@@ -25,7 +26,12 @@ except OSError:
 _FRAMES = 6  # in which the window has to have answered: move, press and release take one each
 _PRESS, _RELEASE = 4, 5  # numbers of the X protocol
 _LEFT, _LEFT_IS_DOWN = 1, 1 << 8
-_CTRL, _BACKSPACE, _ENTER = 0xFFE3, 0xFF08, 0xFF0D  # numbers of X keys; those of letters are their characters
+_CTRL, _CMD, _BACKSPACE, _ENTER = (
+    0xFFE3,
+    0xFFEB,
+    0xFF08,
+    0xFF0D,
+)  # numbers of X keys; those of letters are their characters
 _PANELS = ("Short", "Long")  # the second one has a scroll bar
 _BUTTONS = 8
 
@@ -297,6 +303,27 @@ def test_double_clicks_are_measured_between_the_presses_however_long_frames_take
     window.run(script)
     answers = [answer for answer, _ in window.answers]
     assert answers == ["single", "double", "single", "single"] * 2
+
+
+def test_cmd_is_ctrl_and_is_named_so_where_dear_imgui_behaves_as_on_macos():
+    window, named = Panels(40), []
+
+    def script():
+        yield from range(_FRAMES)
+        named.append(key_names("Undo (Ctrl+Z)"))
+        imgui.get_io().config_mac_osx_behaviors = True
+        named.append(key_names("Undo (Ctrl+Z)"))
+        x_input = XInput()
+        for modifier in (_CTRL, _CMD):
+            for symbol, is_down in ((modifier, True), (ord("i"), True), (ord("i"), False), (modifier, False)):
+                x_input.key(symbol, is_down)
+            x_input.sync()
+            yield from range(_FRAMES)
+        x_input.close()
+
+    window.run(script)
+    assert window.answers == [("key", "Ctrl+I")]
+    assert named == ["Undo (Ctrl+Z)", "Undo (Cmd+Z)"]
 
 
 def run_in_frames(script):

@@ -5,6 +5,7 @@ import pytest
 
 from gsrain_engine.editor.preferences import load_preferences
 from ui.widgets.type_ahead import has_keys, install_type_ahead
+from ui.window import interface_scale
 from window_driver import Driver, hello_imgui, imgui
 
 KEY = imgui.Key
@@ -120,3 +121,10 @@ def test_a_menu_that_was_open_in_an_earlier_window_takes_no_keys():
 
     assert frames_with_keys_for_menus(is_menu_open=True) == [2, 3, 4]
     assert frames_with_keys_for_menus(is_menu_open=False) == []
+
+
+def test_text_has_the_size_of_the_monitor_unless_the_system_enlarges_the_window():
+    assert interface_scale(2.0, 1440, 1440) == 2.0  # X11 and Windows
+    assert interface_scale(2.0, 2880, 1440) == 1.0  # macOS
+    assert interface_scale(1.5, 1100, 733) == 1.0  # Wayland
+    assert interface_scale(1.0, 0, 0) == 1.0  # minimized

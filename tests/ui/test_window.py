@@ -58,6 +58,10 @@ def test_navigation_by_mouse_and_keys(driver):
     driver.ctx.mouse_wheel_y(2)
     driver.frames()
     assert viewport.navigation.distance_m < 20
+    before = viewport.navigation.position.copy()
+    driver.ctx.mouse_wheel_x(2)  # what is looked at goes to the right, along -y
+    driver.frames()
+    assert viewport.navigation.position[1] > before[1] and viewport.navigation.position[0] == before[0]
     driver.click("//View/Follow path")
     assert viewport.options.follow_path
 
