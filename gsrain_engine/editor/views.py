@@ -186,7 +186,7 @@ class NamedViews:
 def camera_of_view(scene: Scene, view: NamedView, width: int, height: int) -> Camera:
     """Camera of a view for an image size in pixels, in the world (meters)."""
     camera = view.camera(width, height).moved(scene.scene_to_world)
-    if not view.orthographic:
+    if not view.orthographic or view.target is None:
         return camera
     depth_m = float(np.linalg.norm(np.subtract(view.target, view.position))) * scene.metres_per_unit
     return orthographic(camera, depth_m, find_scene_core(scene))
