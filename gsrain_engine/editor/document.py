@@ -137,10 +137,7 @@ class History:
 
     def record(self, step: Step) -> None:
         """Append a step and drop the redo steps. A continuing gesture replaces its own last step."""
-        if self.continues(step.gesture):
-            step = replace(step, label=self.step.label)
-        else:
-            self.cursor += 1
+        self.cursor += not self.continues(step.gesture)
         self.steps[self.cursor :] = [step]
 
     def end_gesture(self) -> None:
@@ -257,14 +254,15 @@ class Document:
 
     def _apply(self, label: str | Callable[[Scene, Scene], str], step: Step) -> bool:
         before = self.state
+        start = self.history.previous if self.history.continues(step.gesture) else before
         try:
-            after = step.applied_to(self.history.previous if self.history.continues(step.gesture) else before)
+            after = step.applied_to(start)
         except ValueError as error:
             self._status.report(error)
             return False
         if after.equals(before):
             return False
-        label = label if isinstance(label, str) else label(before.scene, after.scene)
+        label = label if isinstance(label, str) else label(start.scene, after.scene)
         self.history.record(replace(step, label=label, document=after))
         self._notify(before)
         return True

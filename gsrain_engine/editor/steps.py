@@ -83,7 +83,7 @@ EDITS: Mapping[str, Edit] = {
     "set-visible": Edit("edits.members:set_visible"),
     "set-locked": Edit("edits.members:set_locked"),
     "set-opacity": Edit("edits.members:set_opacity"),
-    "set-grading": Edit("edits.members:set_grading"),
+    "set-grading": Edit("edits.members:set_grading", "scene", ".scene.scene:ColorGrading"),
     "move-selected": Edit("edits.transform:move_selected"),
     "move": Edit("edits.transform:move_member"),
     "place": Edit("edits.transform:set_layer_pose"),

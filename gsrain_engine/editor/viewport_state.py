@@ -13,10 +13,10 @@ from ..render.view import RenderView
 from ..scene.camera import Camera
 from ..scene.camera_path import CameraPath
 from ..scene.orthographic import fitted_scale, orientation, orthographic
-from ..scene.scene import DrawItem, Scene, SceneCore, core_bounds
+from ..scene.scene import Actor, DrawItem, Layer, Scene, SceneCore, core_bounds
 from .background import Background
 from .document import Document, DocumentState, Recipe
-from .edits.members import replace_scene
+from .edits.members import members_title, replace_scene
 from .timeline import Playback
 from .viewport.camera import NavigationMotion, OrbitCamera, find_scene_core, home_viewport_camera
 from .viewport.camera_follow import ActorFollower, ChaseCamera, PathFollower
@@ -96,6 +96,7 @@ class ViewportState:
         self.obstacles = ObstacleFinder(background)
         self._given_m = np.full(3, np.nan)  # position of a recorded camera, from which nothing stops an orbit
         self._path = PathFollower()
+        self._range_from = ""  # key of the layer or actor from which a range extends
         self._core: tuple[Hashable, SceneCore] | None = None
         self._last_view: RenderView | None = None
         self._last_content: Hashable = None
@@ -106,6 +107,50 @@ class ViewportState:
     def is_opening(self) -> bool:
         """True if another scene is about to replace this one."""
         return self.is_reading or (self.staged is not None and self.staged.is_opened)
+
+    # Layers and actors that are chosen
+
+    @property
+    def active_member(self) -> Layer | Actor | None:
+        """The layer or actor that was chosen last; None if none is, or it has gone."""
+        return next((each for each in self.document.scene.members if each.key == self.options.member), None)
+
+    @property
+    def chosen_members(self) -> list[Layer | Actor]:
+        """All layers and actors that are chosen and have not gone, in the order in which they were."""
+        active, members = self.active_member, {each.key: each for each in self.document.scene.members}
+        keys = self.options.members if self.options.member in self.options.members else (self.options.member,)
+        return [] if active is None else [members[key] for key in keys if key in members]
+
+    @property
+    def chosen_title(self) -> str:
+        """Name of the chosen layer or actor, or how many there are; empty for none."""
+        return members_title(self.chosen_members)
+
+    def choose(self, *keys: str) -> None:
+        """Choose layers and actors in place of others; the last is the active one."""
+        self.options.members = tuple(dict.fromkeys(keys))
+        self.options.member = self._range_from = keys[-1] if keys else ""
+
+    def choose_also(self, key: str) -> None:
+        """Choose one more layer or actor, or choose it no longer."""
+        chosen = [each.key for each in self.chosen_members]
+        self.choose(*(each for each in chosen if each != key), *([] if key in chosen else [key]))
+
+    def choose_range(self, key: str, *, adds: bool = False) -> None:
+        """Choose all rows of the list from the last one that was chosen alone to this one, which becomes active."""
+        rows, chosen = [each.key for each in self.document.scene.members], [each.key for each in self.chosen_members]
+        start = self._range_from if self._range_from in chosen else self.options.member
+        start = start if start in rows else key
+        low, high = sorted((rows.index(start), rows.index(key)))
+        between = [each for each in rows[low : high + 1] if each != key]
+        self.choose(*(each for each in chosen if adds and each != key), *between, key)
+        self._range_from = start
+
+    def choose_all(self) -> None:
+        """Choose all layers and actors; the active one stays."""
+        rows, active = [each.key for each in self.document.scene.members], self.options.member
+        self.choose(*(each for each in rows if each != active), *([active] if active in rows else []))
 
     # Camera
 
@@ -216,15 +261,15 @@ class ViewportState:
         self.options.follow_path = False
 
     def frame_scene(self) -> None:
-        """Move back until the selected Gaussians are visible, else the active layer or actor, else the dense scene.
+        """Move back until the selected Gaussians are visible, else the chosen layers and actors, else the dense scene.
 
         Once that is framed, frame the next of these, and after the scene the first again.
         """
-        scene, key, time_s = self.document.scene, self.options.member, self.playback.clock.time_s
+        scene, time_s = self.document.scene, self.playback.clock.time_s
         cores = [core_bounds(selected)] if (selected := selected_items(scene, time_s)) else []
-        chosen = next((each for each in scene.members if each.key == key and each.visible), None)
-        part = None if chosen is None else scene.part(chosen, time_s)
-        cores += [core_bounds([part])] if part is not None else []
+        parts = [scene.part(each, time_s) for each in self.chosen_members if each.visible]
+        there = [part for part in parts if part is not None]
+        cores += [core_bounds(there)] if there else []
         cores.append(self.core)
         present = self.navigation.position
         framed = [self._framing(core) for core in cores]

@@ -100,6 +100,8 @@ def test_steps_parse_back(name, arguments):
         ("move key=layers/road delta=[1,2]", "delta"),
         ("rename key=layers/none name=x", "layers/none"),
         ("change-rain intensity_mm_h=-1", "intensity_mm_h"),
+        ("set-opacity key=layers/none opacity=0.5", "layers/none"),
+        ("set-grading key=layers/road exposure_ev=9", "exposure_ev"),
         ('select-in-view shot={} pixels={"shape": [9, 9], "bits": ""}', "shot"),
         (f'select-in-view shot={{"camera": {VIEW}}} pixels={{"shape": [9, 9], "bits": "eA=="}}', "pixels"),
         ("set-rain-keyframe time_s=nan", "time_s"),
@@ -150,6 +152,8 @@ def act(editor):
     selection.select_all()
     selection.select_none()
     document.edit("Visible", members.set_visible, "layers/sky", False)
+    document.edit("Visible", members.set_visible, ("layers/sky", road), True)
+    document.edit("Exposure", members.set_grading, ("layers/sky", road), exposure_ev=-0.5)
     document.edit("Opacity", members.set_opacity, road, 0.5)
     document.edit("Opacity", members.set_opacity, road, 0.7, gesture="opacity")
     document.edit("Opacity", members.set_opacity, road, 0.8, gesture="opacity")
@@ -223,6 +227,8 @@ def test_edits_are_explained():
         ("reverse-path", {}),
         ("change-rain", {"intensity_mm_h": 3.0}),
         ("add-shower", {"start_s": 1.0}),
+        ("set-opacity", {"key": ["layers/wall", "layers/road"], "opacity": 0.5}),
+        ("set-grading", {"key": "layers/wall,layers/road", "exposure_ev": 0.5}),
     ],
 )
 def test_an_edit_made_as_a_step_of_a_history_is_described_as_that_edit(name, arguments):

@@ -11,6 +11,7 @@ from gsrain_engine.editor.autosave import restore_view, saved_scene
 from gsrain_engine.editor.background import Background
 from gsrain_engine.editor.clock import PlaybackClock
 from gsrain_engine.editor.document import Document, DocumentState
+from gsrain_engine.editor.edits.layers import remove
 from gsrain_engine.editor.status import StatusBus
 from gsrain_engine.editor.timeline import Playback
 from gsrain_engine.editor.viewport.camera import NavigationMotion, OrbitCamera, find_scene_core, home_camera, is_in_view
@@ -101,6 +102,41 @@ def test_f_frames_the_layer_that_is_chosen():
         viewport.frame_scene()
         assert closest < viewport.navigation.distance_m < farthest
         assert np.linalg.norm(viewport.navigation.target - [middle, 0, 0]) < 3
+
+
+def test_rows_are_chosen_as_in_every_list():
+    scene = scene_of(*(blob(cube(300, at=(10.0 * each, 0, 0), side=1)) for each in range(4)))
+    viewport = viewport_of(scene)
+    keys = [each.key for each in scene.members]
+
+    def chosen():
+        return [keys.index(each.key) for each in viewport.chosen_members]
+
+    assert chosen() == [] and viewport.active_member is None and viewport.chosen_title == ""
+    viewport.choose(keys[1])
+    viewport.choose_range(keys[3])
+    assert chosen() == [1, 2, 3] and viewport.active_member is scene.members[3]
+    viewport.choose_range(keys[0])  # from where the last one began
+    assert chosen() == [1, 0]
+    viewport.choose_also(keys[3])
+    assert chosen() == [1, 0, 3] and viewport.chosen_title == "3 layers"
+    viewport.choose_also(keys[1])
+    assert chosen() == [0, 3] and viewport.active_member is scene.members[3]
+    viewport.choose_range(keys[2], adds=True)
+    assert chosen() == [0, 3, 2]
+    viewport.choose_all()
+    assert chosen() == [0, 1, 3, 2]
+    viewport.frame_scene()
+    assert viewport.navigation.target[0] == pytest.approx(15, abs=3) and viewport.navigation.distance_m > 15
+    viewport.document.edit("Remove", remove, keys[1])
+    assert [each.key for each in viewport.chosen_members] == [keys[0], keys[3], keys[2]]
+    viewport.options.member = keys[0]  # one of them: the others stay
+    assert len(viewport.chosen_members) == 3
+    viewport.document.edit("Remove", remove, keys[0])
+    assert viewport.chosen_members == [] and viewport.active_member is None
+    viewport.choose(keys[3])
+    viewport.choose_also(keys[3])
+    assert viewport.chosen_members == []
 
 
 PLACES = {

@@ -5,6 +5,7 @@ from pathlib import Path
 from gsrain_engine.editor.camera_path import CameraPathEditor
 from gsrain_engine.editor.document import Document
 from gsrain_engine.editor.edits import gaussians, layers
+from gsrain_engine.editor.edits.members import keys_of, members_title
 from gsrain_engine.editor.files import Files
 from gsrain_engine.editor.rain_tracks import RainTracks
 from gsrain_engine.editor.timeline import Playback
@@ -73,10 +74,12 @@ def delete_selection(document: Document, playback: Playback, rain_tracks: RainTr
         document.edit(f"Delete {count:,} selected", gaussians.delete_selected)
 
 
-def duplicate_member(document: Document, viewport: ViewportState) -> None:
-    before, key = {each.key for each in document.scene.members}, viewport.options.member
-    document.edit(f"Duplicate {document.scene.member(key).name}", layers.duplicate, key)
-    viewport.options.member = next((each.key for each in document.scene.members if each.key not in before), key)
+def duplicate_members(document: Document, viewport: ViewportState) -> None:
+    """Copy the chosen layers and actors; the copies are chosen then."""
+    before, chosen = {each.key for each in document.scene.members}, viewport.chosen_members
+    document.edit(f"Duplicate {members_title(chosen)}", layers.duplicate, keys_of(chosen))
+    if copies := [each.key for each in document.scene.members if each.key not in before]:
+        viewport.choose(*copies)
 
 
 def loop_path(document: Document, camera_path: CameraPathEditor) -> None:

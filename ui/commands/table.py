@@ -152,13 +152,12 @@ def _has_scene(document: Any) -> bool:
     return bool(document.scene.members)
 
 
-def _has_member(document: Any, viewport: Any) -> bool:
-    return any(each.key == viewport.options.member for each in document.scene.members)
+def _has_member(viewport: Any) -> bool:
+    return viewport.active_member is not None
 
 
-def _chosen_member(viewport: Any) -> str:
-    name = viewport.options.member.partition("/")[2]
-    return f"({name})" if name else ""
+def _chosen_members(viewport: Any) -> str:
+    return f"({viewport.chosen_title})" if viewport.chosen_title else ""
 
 
 def _has_actor(document: Any, viewport: Any) -> bool:
@@ -339,9 +338,9 @@ COMMAND_GROUPS: tuple[tuple[Command, ...], ...] = (
                 "ui.commands.actions:has_selection", edit="isolate-selected"),
         Command("Show all", None, "Edit", "Shift+H", "Draw all hidden Gaussians.",
                 lambda document: any(each.marks.hidden for each in document.scene.members), edit="show-all"),
-        Command("Duplicate layer or actor", "ui.commands.actions:duplicate_member", "Edit", "Ctrl+D",
-                "Copy the active layer or actor.", _has_member,
-                more=_chosen_member, edit="duplicate"),
+        Command("Duplicate layer or actor", "ui.commands.actions:duplicate_members", "Edit", "Ctrl+D",
+                "Copy the chosen layers and actors.", _has_member,
+                more=_chosen_members, edit="duplicate"),
         Command("Separate selection", None, "Edit", "Ctrl+J", "Move the selected Gaussians to a new layer.",
                 "ui.commands.actions:has_selection", edit="separate"),
         Command("Purge deleted", None, "Edit",
@@ -521,7 +520,7 @@ COMMAND_GROUPS: tuple[tuple[Command, ...], ...] = (
     ),
     (
         Command("Frame selection or scene", _call("viewport.frame_scene"), "View", "F",
-                "Move back until the selection, else the active layer or actor, else the scene is visible."),
+                "Move back until the selection, else the chosen layers and actors, else the scene is visible."),
         Command("Go home", _call("viewport.go_home"), "View", "R or Home", "Return to the initial view of the scene."),
         Command("Look from above", _call("viewport.look_from_above"), "View", "7",
                 "Show the scene from above, to scale, with +y upwards: a plan, with marks from the Display panel.",

@@ -28,6 +28,7 @@ from ..widgets.fields import (
     copy_buttons,
     disabled,
     end_gesture_when_released,
+    faint,
     field_label,
     plain_label,
     share_of_width,
@@ -52,7 +53,7 @@ def edit_panel(
     document: Document, viewport: ViewportState, playback: Playback, floaters: FloaterFinder, jobs: JobRunner
 ) -> None:
     _selection(document)
-    member = next((each for each in document.scene.members if each.key == viewport.options.member), None)
+    member = viewport.active_member
     if member is None:
         imgui.separator_text("Layer")
         with text_color(imgui.Col_.text_disabled):
@@ -97,16 +98,18 @@ def _purge_help(document: Document) -> str:
 
 
 def _member(document: Document, viewport: ViewportState, playback: Playback, member: Layer | Actor) -> None:
-    imgui.separator_text(member.name)
+    imgui.separator_text(viewport.chosen_title)
+    if len(viewport.chosen_members) > 1:
+        faint(f"Color acts on all of them, the rest on {member.name}, which was clicked last.")
     if member.locked:
-        imgui.text_disabled("Locked.")
+        imgui.text_disabled(f"{member.name} is locked.")
     with disabled(member.locked):
         if imgui.collapsing_header("Place", _OPEN):
             _place_fields(document, playback, member)
         if isinstance(member, Actor) and imgui.collapsing_header("Drive", _OPEN):
             _actor_fields(document, viewport, member)
-        if imgui.collapsing_header("Color", _OPEN):
-            grading_fields(document, member)
+    if imgui.collapsing_header("Color", _OPEN):
+        grading_fields(document, viewport)
 
 
 # Floater cleanup

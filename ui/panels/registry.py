@@ -55,7 +55,7 @@ BUILT_IN_PANELS = (
     Panel("Statistics", "left", statistics_panel,
           help="Frame time by stage, and what is drawn."),
     Panel("Edit", "left bottom", edit_panel, page="selecting_and_editing.md",
-          help="The selection, and the layer or actor chosen above."),
+          help="The selection, and the layers and actors chosen above."),
     Panel("Select", "left bottom", select_panel,
           help="By attribute (opacity, size, height, ...) and by color; grow, shrink, invert, selection sets."),
     Panel("Rain", "right", rain_panel, page="rain.md",

@@ -101,7 +101,7 @@ def _target(document: Document, viewport: ViewportState) -> str | None:
     """Return None for the selection, the key of a layer or actor, or "" for nothing."""
     if selected_count(document.scene):
         return None
-    chosen = next((each for each in document.scene.members if each.key == viewport.options.member), None)
+    chosen = viewport.active_member
     return chosen.key if chosen is not None and chosen.visible and not chosen.locked else ""
 
 

@@ -198,7 +198,7 @@ def tool_options(tool: Tool | None, corner: ImVec2, left: float, width: float) -
 
 def view_bar(editor: Editor) -> None:
     clock, viewport = editor.playback.clock, editor.viewport
-    frame_help = "Move back until the selection, else the active layer or actor, else the scene is visible (F)."
+    frame_help = "Move back until the selection, else the chosen layers and actors, else the scene is visible (F)."
     for icon, name, help_text, act in (
         (icons.ICON_FA_PAUSE if clock.playing else icons.ICON_FA_PLAY, "Play", "Start or stop time (Space).",
          clock.toggle),

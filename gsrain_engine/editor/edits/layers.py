@@ -14,7 +14,9 @@ from .actors import moved_actor
 from .gaussians import delete_selected
 from .lamps import moved_lamps, remounted
 from .members import (
+    Keys,
     find_member,
+    find_members,
     find_unlocked_member,
     insert_after,
     is_editable,
@@ -25,10 +27,12 @@ from .members import (
 )
 
 
-def duplicate(scene: Scene, key: str) -> Scene:
-    """Insert a copy of a member after it, under a unique name; its arrays are shared."""
-    copy = replace(with_unique_name(scene, find_member(scene, key)), locked=False)
-    return insert_after(scene, key, copy)
+def duplicate(scene: Scene, key: Keys) -> Scene:
+    """Insert a copy of each layer or actor after it, under a unique name; its arrays are shared."""
+    for member in find_members(scene, key):
+        copy = replace(with_unique_name(scene, member), locked=False)
+        scene = insert_after(scene, member.key, copy)
+    return scene
 
 
 def separate(scene: Scene) -> Scene:
@@ -56,12 +60,12 @@ def separate(scene: Scene) -> Scene:
     return merge(result, parted) if len(parted) > 1 else result
 
 
-def remove(scene: Scene, key: str) -> Scene:
-    """Remove a member. Raises `ValueError` if there is none or it is locked."""
-    find_unlocked_member(scene, key)
-    members = tuple(each for each in scene.members if each.key != key)
+def remove(scene: Scene, key: Keys) -> Scene:
+    """Remove layers and actors. Raises `ValueError` if there is none of them or one is locked."""
+    gone = {find_unlocked_member(scene, each.key).key for each in find_members(scene, key)}
+    members = tuple(each for each in scene.members if each.key not in gone)
     return with_selections(
-        with_members(scene, members), lambda masks: {each: mask for each, mask in masks.items() if each != key}
+        with_members(scene, members), lambda masks: {each: mask for each, mask in masks.items() if each not in gone}
     )
 
 

@@ -1,10 +1,12 @@
 """Members of a scene in edits: access to editable ones, unique names, selection sets, new Gaussians."""
 
 import re
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import count
 from typing import Any, TypedDict, Unpack
+
+import msgspec
 
 from ...scene.camera_path import CameraPath, Interpolation
 from ...scene.camera_path_edit import EditedKeyframe
@@ -32,6 +34,39 @@ def find_unlocked_member(scene: Scene, key: str) -> Layer | Actor:
     if member.locked:
         raise ValueError(f"{member.name} is locked.")
     return member
+
+
+Keys = str | Sequence[str]
+"""Key of a layer or actor, or several: a sequence, or a text with commas between them."""
+
+
+def find_members(scene: Scene, keys: Keys) -> list[Layer | Actor]:
+    """Find one member or several, in the order of the scene; keys that have gone are left out.
+
+    Raises `ValueError` if there is none of them.
+    """
+    own = {each.key for each in scene.members}
+    if isinstance(keys, str):
+        wanted = {keys} if keys in own else {each.strip() for each in keys.split(",")}
+    else:
+        wanted = set(keys)
+    found = [each for each in scene.members if each.key in wanted]
+    if not found:
+        raise ValueError(f"There is no {keys!r} in the scene.")
+    return found
+
+
+def keys_of(members: Sequence[Layer | Actor]) -> Keys:
+    """Return the key of one member, or those of several."""
+    return members[0].key if len(members) == 1 else tuple(each.key for each in members)
+
+
+def members_title(members: Sequence[Layer | Actor]) -> str:
+    """Name one member, or count several: "road", "3 layers", "2 layers and actors"; empty for none."""
+    if len(members) < 2:
+        return "".join(each.name for each in members)
+    kinds = {Layer: "layers", Actor: "actors"}
+    return f"{len(members)} {' and '.join(title for kind, title in kinds.items() if kind in map(type, members))}"
 
 
 def with_members(scene: Scene, members: Iterable[Layer | Actor]) -> Scene:
@@ -107,21 +142,29 @@ def change_path(path: CameraPath, **options: Unpack[PathOptions]) -> CameraPath:
     return replace(path, **options)
 
 
-def set_opacity(scene: Scene, key: str, opacity: float) -> Scene:
-    """Set the opacity (0..1) of a layer or actor."""
-    return scene.with_member(key, opacity=opacity)
+def set_opacity(scene: Scene, key: Keys, opacity: float) -> Scene:
+    """Set the opacity (0..1) of layers and actors."""
+    return _with_fields(scene, key, lambda _: {"opacity": opacity})
 
 
-def set_grading(scene: Scene, key: str, grading: ColorGrading) -> Scene:
-    """Set the color grading of a layer or actor."""
-    return scene.with_member(key, grading=grading)
+def set_grading(scene: Scene, key: Keys, grading: ColorGrading | None = None, **fields: float) -> Scene:
+    """Set the color grading of layers and actors, or some of its fields."""
+    return _with_fields(
+        scene, key, lambda each: {"grading": msgspec.structs.replace(grading or each.grading, **fields)}
+    )
 
 
-def set_visible(scene: Scene, key: str, visible: bool) -> Scene:
-    """Show or hide a layer or actor."""
-    return scene.with_member(key, visible=visible)
+def set_visible(scene: Scene, key: Keys, visible: bool) -> Scene:
+    """Show or hide layers and actors."""
+    return _with_fields(scene, key, lambda _: {"visible": visible})
 
 
-def set_locked(scene: Scene, key: str, locked: bool) -> Scene:
-    """Lock a layer or actor against edits, or unlock it."""
-    return scene.with_member(key, locked=locked)
+def set_locked(scene: Scene, key: Keys, locked: bool) -> Scene:
+    """Lock layers and actors against edits, or unlock them."""
+    return _with_fields(scene, key, lambda _: {"locked": locked})
+
+
+def _with_fields(scene: Scene, keys: Keys, fields: Callable[[Layer | Actor], Mapping[str, Any]]) -> Scene:
+    for member in find_members(scene, keys):
+        scene = scene.with_member(member.key, **fields(member))
+    return scene

@@ -52,7 +52,9 @@ class ViewOptions:
     guide_of_focus: str = FIRST_PAGE
     """Page about the panel that had the focus last."""
     member: str = ""
-    """Key of the layer or actor to edit; none if empty or gone."""
+    """Key of the active layer or actor, the one chosen last; none if empty or gone."""
+    members: tuple[str, ...] = ()
+    """Keys of the layers and actors that are chosen, in that order, if the active one is among them; else it alone."""
     show_lamps: bool = False
     lamp: int = -1
     """Number of the lamp to edit; none if negative."""

@@ -5,13 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gsrain_engine.editor.edits import gaussians, layers
+from gsrain_engine.editor.edits import gaussians, layers, members
 from gsrain_engine.editor.edits.actors import turn_actor
 from gsrain_engine.editor.edits.gaussians import compact
 from gsrain_engine.editor.edits.transform import Pose, move_member, move_selected, preview_move, set_layer_pose
 from gsrain_engine.recolor.result import with_colors
 from gsrain_engine.scene.flags import BitMask
 from gsrain_engine.scene.gaussians import Gaussians
+from gsrain_engine.scene.scene import ColorGrading
 from gsrain_engine.scene.transforms import blend_wet_sh, flatten_scene, with_wet_colors_of, with_wetness_baked
 
 from .edited_scene import assert_same, edited_scene, flattened, turned, with_selection, without
@@ -68,6 +69,40 @@ def test_renaming_keeps_names_unique_and_selection_sets_true():
         assert names(swapped) == ["house", "ground", "sky", "car"]
 
 
+def test_one_edit_changes_several_layers_and_actors():
+    scene, keys = edited_scene(), ("layers/ground", "layers/sky", "actors/car")
+
+    def changed(edited, field):
+        before = {each.key: getattr(each, field) for each in scene.members}
+        return [each.key for each in edited.members if getattr(each, field) != before.get(each.key)]
+
+    for given in (keys, [*keys, "layers/gone"], ",".join(keys), " , ".join(keys)):
+        assert changed(members.set_opacity(scene, given, 0.3), "opacity") == [*keys]
+        assert changed(members.set_visible(scene, given, False), "visible") == [*keys]
+        assert changed(members.set_locked(scene, given, True), "locked") == [*keys]
+    assert names(layers.remove(scene, ["layers/ground", "actors/car"])) == ["house", "sky"]
+    twice = layers.duplicate(layers.duplicate(scene, ["layers/house", "layers/ground"]), "layers/sky")
+    assert names(twice) == ["ground", "ground 2", "house", "house 2", "sky", "sky 2", "car"]
+    comma = layers.rename(scene, "layers/ground", "grass, wet")
+    assert changed(members.set_opacity(comma, "layers/grass, wet", 0.3), "opacity") == ["layers/grass, wet"]
+    assert members.members_title(scene.members) == "4 layers and actors"
+    assert members.members_title(scene.layers) == "3 layers" and members.members_title(scene.actors) == "car"
+    for given in ("layers/none", ["layers/none"], "layers/none, layers/no"):
+        with pytest.raises(ValueError, match="layers/none"):
+            members.set_opacity(scene, given, 0.3)
+
+
+def test_fields_of_a_grading_are_set_where_others_differ():
+    scene, keys = edited_scene(), ["layers/ground", "layers/house"]
+    scene = members.set_grading(scene, keys[0], ColorGrading(contrast=2.0))
+    scene = members.set_grading(scene, keys[1], ColorGrading(tint=0.5))
+    dark = members.set_grading(scene, keys, exposure_ev=-1.0)
+    assert dark.member(keys[0]).grading == ColorGrading(contrast=2.0, exposure_ev=-1.0)
+    assert dark.member(keys[1]).grading == ColorGrading(tint=0.5, exposure_ev=-1.0)
+    plain = members.set_grading(dark, keys, ColorGrading())
+    assert {plain.member(each).grading for each in keys} == {ColorGrading()}
+
+
 @pytest.mark.parametrize(
     ("edit", "arguments", "reason"),
     [
@@ -76,6 +111,7 @@ def test_renaming_keeps_names_unique_and_selection_sets_true():
         (layers.rename, ("layers/ground", "  "), "empty"),
         (layers.remove, ("layers/none",), "layers/none"),
         (layers.remove, ("layers/house",), "house is locked"),
+        (layers.remove, (["layers/ground", "layers/house"],), "house is locked"),
         (layers.merge, (["layers/ground", "layers/house"],), "house is locked"),
         (layers.merge, (["layers/ground", "layers/ground"],), "two"),
         (layers.merge, (["layers/ground", "actors/car"],), "Actors"),
