@@ -190,7 +190,7 @@ class MainWindow:
         parameters.docking_params.main_dock_space_node_flags &= ~imgui.DockNodeFlags_.passthru_central_node
         parameters.docking_params.docking_splits = [
             hello_imgui.DockingSplit("MainDockSpace", "RightSpace", imgui.Dir.right, 0.28),
-            hello_imgui.DockingSplit("RightSpace", "RightBottomSpace", imgui.Dir.down, 0.41),
+            hello_imgui.DockingSplit("RightSpace", "RightBottomSpace", imgui.Dir.down, 0.3),
             hello_imgui.DockingSplit("MainDockSpace", "BottomSpace", imgui.Dir.down, 0.24),
             hello_imgui.DockingSplit("MainDockSpace", "LeftSpace", imgui.Dir.left, 0.25),
             hello_imgui.DockingSplit("LeftSpace", "LeftBottomSpace", imgui.Dir.down, 0.5),

@@ -9,9 +9,8 @@ def test_glass_is_chosen_and_drawn_in_the_viewport(driver):
     document = editor.document
     document.change_rain("Wet before", glass_wet_s=5.0, streaks=False, intensity_mm_h=12.0)
     open_air = driver.picture()
-    driver.click("//Rain/Glass")
+    driver.panel("Rain")
     driver.ctx.set_ref("//Rain")
-    driver.ctx.scroll_to_item_y("##glass")
     driver.ctx.combo_click("##glass/windshield")
     assert document.rain.glass == "windshield" and document.history.undo_label == "Glass"
     behind = driver.picture()

@@ -16,16 +16,17 @@ GROUP = "Glass"
 
 
 def glass_fields(document: Document) -> None:
-    """Edit the settings of the glass; those of windshields only where there is one. The viewport shows it live."""
+    """Edit the water on the glass; the wiper only of windshields. The viewport shows it live."""
     kind = document.rain_now.glass
+    if kind == "none":
+        fields.faint("There is no glass in front of the camera.")
+    else:
+        for rig in document.scene.rigs:
+            imgui.text_wrapped(_sentence(document.scene, rig, kind))
     for each in fields_of(RainSettings):
-        if each.group != GROUP:
-            continue
-        with disabled(each.name != "glass" and (kind == "none" or (each.name == "wiper" and kind == "lens"))):
-            fields.rain_field(document, each.name)
-        if each.name == "glass" and kind != "none":
-            for rig in document.scene.rigs:
-                imgui.text_wrapped(_sentence(document.scene, rig, kind))
+        if each.group == GROUP and each.name != "glass":
+            with disabled(kind == "none" or (each.name == "wiper" and kind == "lens")):
+                fields.rain_field(document, each.name)
 
 
 def _sentence(scene: Scene, rig: str, kind: GlassKind) -> str:

@@ -35,17 +35,15 @@ _ABOVE_M = 0.3  # height of a new lamp above the surface there
 _BRIGHTEST_M2 = 1e4
 
 
-def lamp_fields(
-    document: Document, viewport: ViewportState, status: StatusBus, lamps: LampFinder, jobs: JobRunner
-) -> None:
-    """Choose the lamps that light the rain, and edit those of the scene."""
-    _choice(document, status)
+def lamp_fields(document: Document, viewport: ViewportState, lamps: LampFinder, jobs: JobRunner) -> None:
+    """Edit the lamps of the scene."""
     if document.rain.lamps not in (None, HEADLIGHTS):
         fields.faint("The scene's own lamps are not used.")
     _list(document, viewport, lamps, jobs)
 
 
-def _choice(document: Document, status: StatusBus) -> None:
+def lamp_choice(document: Document, status: StatusBus) -> None:
+    """Choose the lamps that light the rain."""
     own = document.rain.lamps
     names = [*_TITLES, *([own] if own not in _TITLES else [])]
     fields.field_label("lamps")

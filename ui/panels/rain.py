@@ -47,14 +47,15 @@ from ..widgets.numbers import compass, compass_name, slide
 from ..widgets.text import readings
 from ..widgets.type_ahead import combo_box
 from .glass import glass_fields
-from .lamps import lamp_fields
+from .lamps import lamp_choice, lamp_fields
 
-_PRESETS_PER_ROW = 2
+_PRESETS_PER_ROW = 3
 PICK_TOOL = "Drop color"
 _WIND = "Wind and seed"
 _WIND_FIELDS = ("wind_speed_m_s", "wind_from_deg", "wind_m_s")
 GROUPS = (_WIND, "Glass", "Regions", "Physics", "Camera", "Lamps", "Appearance")
-"""Headings below which the fields with this `group` are drawn."""
+"""Headings below which the fields with this `group` are drawn, but for those that are used most, above them."""
+_ABOVE = (*_WIND_FIELDS, "glass", "lamps")
 
 _NO_WET_COLORS = "The scene has no wet colors yet: create them in the Wet look panel, or by recoloring in Capture."
 
@@ -72,27 +73,30 @@ def rain_panel(
     fields.toggles(document, "streaks", "roofs", "mirror", "splashes", "spray")
     fields.choice(document, "haze")
     fields.rain_field(document, "visibility_m")
-    _drop_color(document, viewport, live_rain)
     wetness_fields(document, live_rain, keyframe_button_width())
     keyframe_button(document, viewport, playback, "wetness")
+    _wind(document, viewport, playback)
+    fields.choice(document, "glass")
+    lamp_choice(document, status)
+    _drop_color(document, viewport, live_rain)
     if document.rain.exaggeration:
         imgui.text_colored(WARNING, document.rain.exaggeration)
     for group in GROUPS:
         if imgui.collapsing_header(group):
             if group == _WIND:
-                _wind(document, viewport, playback)
+                _wind_compass(document)
             if group == "Glass":
                 glass_fields(document)
                 continue
+            if group == "Lamps":
+                lamp_fields(document, viewport, lamps, jobs)
             for each in fields_of(RainSettings):
-                if each.group != group or each.name in _WIND_FIELDS:
+                if each.group != group or each.name in _ABOVE:
                     continue
                 if each.name == "sensor":
                     _sensor(document, viewport, live_rain, status)
                 elif each.name == "lamp_gain":
                     keyframed_slider(document, viewport, playback, "lamp_gain", high=each.slider_high)
-                elif each.name == "lamps":
-                    lamp_fields(document, viewport, status, lamps, jobs)
                 elif each.kind is RegionBox:
                     _region(document, viewport, each.name)
                 else:
@@ -128,7 +132,8 @@ def _presets(document: Document) -> None:
         if number % _PRESETS_PER_ROW:
             imgui.same_line()
         is_on = document.rain_now.intensity_mm_h == rate
-        if button(f"{command.name}###{rate:g}", command.help, width=width, is_on=is_on):
+        title = f"{name} {rate:g}" if rate else name  # the unit is that of the slider below
+        if button(f"{title}###{rate:g}", command.help, width=width, is_on=is_on):
             set_intensity(document, rate)
     imgui.same_line()
     paper = _paper()
@@ -252,11 +257,36 @@ _COMPASS_HELP = (
 
 
 def _wind(document: Document, viewport: ViewportState, playback: Playback) -> None:
-    """Edit speed and direction of the wind; with keyframes both go into one."""
+    """Edit speed and direction of the wind as numbers; with keyframes both go into one."""
     rain, speed = document.rain_now, field_of(RainSettings, "wind_speed_m_s")
-    high, name = speed.slider_high, compass_name(rain.wind_from_deg)
+    colors = tint_keyframed(document, "wind_m_s")
+    fields.plain_label("Wind (m/s), from", f"{speed.help} The heading below has a compass.")
+    gap = imgui.get_style().item_spacing.x
+    width = (imgui.get_content_region_avail().x - gap - keyframe_button_width()) / 2
+    imgui.set_next_item_width(width)
+    bounds = (0.0, speed.high)
+    changed, speed_m_s = slide(
+        "##wind_speed_m_s", rain.wind_speed_m_s, 0.0, speed.slider_high, "%.1f", bounds=bounds, unit="m/s"
+    )
+    if changed:
+        document.change_rain("Wind speed", "wind_speed_m_s", wind_speed_m_s=speed_m_s, wind_from_deg=rain.wind_from_deg)
+    fields.end_gesture_when_released(document)
+    imgui.set_item_tooltip(f"{speed.help} Double click: type a value.")
+    imgui.same_line()
+    imgui.set_next_item_width(width)
+    changed, from_deg = slide("##wind_from_deg", rain.wind_from_deg, 0.0, 360.0, "%.0f\u00b0", unit="\u00b0")
+    imgui.set_item_tooltip(f"{field_of(RainSettings, 'wind_from_deg').help} Double click: type a value.")
+    if changed:
+        document.change_rain("Wind from", "wind_from_deg", wind_speed_m_s=rain.wind_speed_m_s, wind_from_deg=from_deg)
+    fields.end_gesture_when_released(document)
+    imgui.pop_style_color(colors)
+    keyframe_button(document, viewport, playback, "wind_m_s")
+
+
+def _wind_compass(document: Document) -> None:
+    rain, speed = document.rain_now, field_of(RainSettings, "wind_speed_m_s")
+    high, diameter = speed.slider_high, _COMPASS_EM * imgui.get_font_size()
     help_text = _COMPASS_HELP.format(high=high)
-    diameter = _COMPASS_EM * imgui.get_font_size()
     changed, from_deg, speed_m_s = compass("wind", rain.wind_from_deg, rain.wind_speed_m_s, high, diameter, help_text)
     if imgui.is_item_clicked(imgui.MouseButton_.right):
         changed, from_deg, speed_m_s = True, field_of(RainSettings, "wind_from_deg").default, speed.default
@@ -265,28 +295,7 @@ def _wind(document: Document, viewport: ViewportState, playback: Playback) -> No
         document.change_rain("Wind", gesture, wind_speed_m_s=speed_m_s, wind_from_deg=from_deg)
     fields.end_gesture_when_released(document)
     imgui.same_line()
-    imgui.begin_group()
-    colors = tint_keyframed(document, "wind_m_s")
-    imgui.text(f"Wind from {name}")
-    imgui.set_next_item_width(-keyframe_button_width())
-    changed, speed_m_s = slide(
-        "##wind_speed_m_s", rain.wind_speed_m_s, 0.0, high, "%.1f m/s", bounds=(0.0, speed.high), unit="m/s"
-    )
-    if changed:
-        document.change_rain("Wind speed", "wind_speed_m_s", wind_speed_m_s=speed_m_s, wind_from_deg=rain.wind_from_deg)
-    fields.end_gesture_when_released(document)
-    imgui.set_item_tooltip(f"{speed.help} Double click: type a value.")
-    imgui.pop_style_color(colors)
-    keyframe_button(document, viewport, playback, "wind_m_s")
-    colors = tint_keyframed(document, "wind_m_s")
-    imgui.set_next_item_width(-keyframe_button_width())
-    changed, from_deg = slide("##wind_from_deg", rain.wind_from_deg, 0.0, 360.0, "%.0f\u00b0", unit="\u00b0")
-    imgui.set_item_tooltip(f"{field_of(RainSettings, 'wind_from_deg').help} Double click: type a value.")
-    imgui.pop_style_color(colors)
-    if changed:
-        document.change_rain("Wind from", "wind_from_deg", wind_speed_m_s=rain.wind_speed_m_s, wind_from_deg=from_deg)
-    fields.end_gesture_when_released(document)
-    imgui.end_group()
+    imgui.text(f"Wind from {compass_name(rain.wind_from_deg)}")
 
 
 def _region(document: Document, viewport: ViewportState, name: str) -> None:
@@ -341,11 +350,27 @@ def rain_properties_panel(document: Document, viewport: ViewportState, playback:
     if state.intensity_mm_h == 0:
         imgui.text_wrapped("No rain at this time." if document.keyframes.keys else "No rain.")
         return
+    per_km = 1000 * (state.extinction_per_m - state.fog_extinction_per_m)
+    measured_per_km = 1000 * state.marshall_palmer_extinction_per_m
+    ratio = f" ({per_km / measured_per_km:.2f} x Marshall-Palmer)" if measured_per_km > 0 else ""
+    has_fog = state.fog_extinction_per_m > 0
+    readings("readout", [
+        ("Simulated rain rate", f"{state.implied_mm_h:.2f} mm/h", "Of the simulated drops: 6e-4 pi N E[V D^3]."),
+        ("Class", state.rain_class, "Very light to very heavy rain, after ASAM OSI."),
+        ("Rain extinction", f"{per_km:.3f} /km{ratio}",
+         "Of light, by the drops: (pi/4) Q N E[D^2], times the haze gain; and how many times that of as much rain with "
+         f"the drops of Marshall and Palmer (1948), {measured_per_km:.3f} /km."),
+        ("Visibility in both" if has_fog else "Rain visibility", f"{state.visibility_m / 1000:.2f} km",
+         _VISIBILITY_HELP),
+    ])  # fmt: skip
+    if state.beyond_calibration:
+        imgui.text_colored(WARNING, f"beyond calibration ({state.calibrated_up_to_mm_h:.3g} mm/h)")
+    warn(document.rain.exaggeration)
+    if not imgui.collapsing_header("More quantities"):
+        return
     drawn, haze = (int(viewport.statistics.get(name, 0)) for name in ("drops drawn", "haze Gaussians"))
     rows = [
         ("Set rain rate", f"{state.intensity_mm_h:.2f} mm/h", "Rainfall intensity R."),
-        ("Class", state.rain_class, "Very light to very heavy rain, after ASAM OSI."),
-        ("Simulated rain rate", f"{state.implied_mm_h:.2f} mm/h", "Of the simulated drops: 6e-4 pi N E[V D^3]."),
         ("Rain rate of the calibration", f"{state.table_implied_mm_h:.2f} mm/h",
          "Rain rate with as many drops as the calibration's table has at this intensity."),
         ("Drops per m\u00b3", f"{state.density_m3:,.0f}",
@@ -362,21 +387,10 @@ def rain_properties_panel(document: Document, viewport: ViewportState, playback:
     if document.rain.haze == "gaussians":
         help_text = f"Around the camera; {state.haze_gaussians:,} at full opacity in the region."
         rows.append(("Haze Gaussians", f"{haze:,}", help_text))
-    per_km = 1000 * (state.extinction_per_m - state.fog_extinction_per_m)
-    help_text = "Of light, by the drops: (pi/4) Q N E[D^2], times the haze gain."
-    rows.append(("Rain extinction", f"{per_km:.3f} /km", help_text))
-    help_text = "Extinction of as much rain with the drops of Marshall and Palmer (1948)."
-    rows.append(("Marshall-Palmer's", f"{1000 * state.marshall_palmer_extinction_per_m:.3f} /km", help_text))
-    has_fog = state.fog_extinction_per_m > 0
     if has_fog:
         help_text = "Of light, by the fog: 3.0 / visibility."
         rows.append(("Fog extinction", f"{1000 * state.fog_extinction_per_m:.3f} /km", help_text))
-    title = "Visibility in both" if has_fog else "Rain visibility"
-    rows.append((title, f"{state.visibility_m / 1000:.2f} km", _VISIBILITY_HELP))
-    readings("readout", rows)
-    if state.beyond_calibration:
-        imgui.text_colored(WARNING, f"beyond calibration ({state.calibrated_up_to_mm_h:.3g} mm/h)")
-    warn(document.rain.exaggeration)
+    readings("more readings", rows)
 
 
 @lru_cache(maxsize=4)
