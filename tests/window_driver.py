@@ -45,7 +45,9 @@ class Driver:
         self.editor.playback.clock.playing = False
         self.window = MainWindow(lambda: self.editor, backend)
         self.folder = tmp_path
-        self.size_px, self.dpi_scale = (1100, 720), 1.0
+        self.size_px, self.dpi_scale = (1100, 720), 1.0  # without a size, as the last window was closed
+        self.layout = None
+        """File of the layout of docks, which the window reads and writes; None for the default one."""
         self.ctx = None
         self.actions = 0
         """Clicks, drags, keys and typed values up to now."""
@@ -57,8 +59,11 @@ class Driver:
             self.editor.preferences.value, desktop_dialogs=False, hint=False, known_version=version("gsrain")
         )
         parameters = self.window.parameters()
-        parameters.ini_disable = True
-        parameters.app_window_params.window_geometry.size = self.size_px
+        parameters.ini_disable = self.layout is None
+        parameters.ini_folder_type = hello_imgui.IniFolderType.absolute_path
+        parameters.ini_filename = str(self.layout or "")
+        if self.size_px is not None:
+            parameters.app_window_params.window_geometry.size = self.size_px
         parameters.dpi_aware_params.dpi_window_size_factor = self.dpi_scale
         parameters.callbacks.before_imgui_render = self._before_painting
 

@@ -31,7 +31,7 @@ from imgui_bundle import glfw_utils
 from jaxtyping import UInt8
 from PIL import Image
 
-from gsrain_engine.editor.preferences import Preferences, config_folder, load_preferences, state_folder
+from gsrain_engine.editor.preferences import Preferences, WindowPlace, config_folder, load_preferences, state_folder
 from gsrain_engine.malloc_tuning import use_one_arena
 from gsrain_engine.render.opengl.context import (
     WINDOW_VERSION,
@@ -48,9 +48,11 @@ from gsrain_engine.safe_io.files import whole_file
 from gsrain_engine.safe_io.text_files import escape_invisible
 from gsrain_engine.simulation.rollout_io import ROLLOUT_SUFFIXES
 
+from .dock_shares import DockShares
 from .input_queue import InputQueue
 from .widgets.text import escape_all_text
 from .widgets.type_ahead import install_type_ahead
+from .window_place import fitted, monitors, open_at, place_of
 
 if TYPE_CHECKING:
     from gsrain_engine.editor.drawing.live_view import WindowBackend
@@ -62,6 +64,7 @@ if TYPE_CHECKING:
 logger = logging.getLogger("gsrain")
 # Sent to programs when the machine shuts down or the user logs out
 _ENDINGS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
+_PLACE_EVERY_S = 0.5  # the place of the window is noted so often: a maximized one does not tell where it was before
 _DRIVER_RESTARTS_S = 5.0  # maximum time for a driver to recover before a window that lost its context restarts
 
 
@@ -173,6 +176,9 @@ class MainWindow:
         self._style: Preferences | None = None
         self._content_scale = 1.0
         self._input: InputQueue | None = None
+        self._docks = DockShares()
+        self._place: WindowPlace | None = None
+        self._place_noted_s = 0.0
         self.failure: Exception | None = None
         """Error that prevented the program from loading or continuing, and closes the window."""
 
@@ -182,6 +188,9 @@ class MainWindow:
         parameters = hello_imgui.RunnerParams()
         parameters.app_window_params.window_title = "GSRAIN"
         parameters.app_window_params.window_geometry.size = (1440, 900)
+        if (stored := load_preferences()[0].window) is not None:
+            self._place = fitted(stored, monitors())
+            open_at(self._place, parameters)
         content = parameters.imgui_window_params
         content.default_imgui_window_type = hello_imgui.DefaultImGuiWindowType.provide_full_screen_dock_space
         content.show_menu_bar = content.show_status_bar = True
@@ -208,7 +217,7 @@ class MainWindow:
         callbacks.pre_new_frame = self._guarded(self._update)
         callbacks.show_menus = self._guarded(lambda: self.workspace.draw_menus() if self.workspace else None)
         callbacks.show_status = self._guarded(lambda: self.workspace.draw_status() if self.workspace else None)
-        callbacks.post_new_frame = lambda: self._input.continue_frame() if self._input else None
+        callbacks.post_new_frame = self._continue_frame
         callbacks.after_swap = self._guarded(self._rest)
         callbacks.before_exit = self._end
         parameters.renderer_backend_options.open_gl_options = _context_options(window_version())
@@ -279,6 +288,8 @@ class MainWindow:
         glfw.set_drop_callback(window, lambda _, paths: self.drop(paths))
         glfw.set_window_close_callback(window, lambda _: self.ask_to_close())
         self._input = InputQueue(window)
+        if self._place is not None and self._place.is_maximized:
+            glfw.maximize_window(window)
         self._loader.start()
 
     def _load(self) -> None:
@@ -308,6 +319,17 @@ class MainWindow:
             hello_imgui.get_runner_params().app_shall_exit = True
         if self._input is not None and self._input.begin_frame():
             hello_imgui.get_runner_params().fps_idling.enable_idling = False
+
+    def _continue_frame(self) -> None:
+        self._docks.update()
+        if time.monotonic() - self._place_noted_s > _PLACE_EVERY_S:
+            self._note_place()
+        if self._input is not None:
+            self._input.continue_frame()
+
+    def _note_place(self) -> None:
+        self._place = place_of(glfw_utils.glfw_window_hello_imgui(), self._place)
+        self._place_noted_s = time.monotonic()
 
     def _rest(self) -> None:
         if self.workspace is not None:
@@ -364,6 +386,9 @@ class MainWindow:
         imgui.progress_bar(-imgui.get_time(), ImVec2(280, 0), "loading")
 
     def _end(self) -> None:
+        self._note_place()
+        if self._editor is not None and self._place != self._editor.preferences.value.window:
+            self._editor.preferences.set(window=self._place)
         if self.workspace is not None:
             self.workspace.folded.unfold()  # layouts are saved with all docks
         self.close()

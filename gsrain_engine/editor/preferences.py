@@ -69,6 +69,17 @@ def config_folder() -> Path:
 # Preferences file, shared by all windows
 
 
+class WindowPlace(Settings, frozen=True, kw_only=True):
+    """Place of the window on the desktop."""
+
+    position: tuple[int, int] | None
+    """Left and upper edge of its content in pixels; None where the desktop does not tell it."""
+    size: tuple[Annotated[int, Meta(ge=1)], Annotated[int, Meta(ge=1)]]
+    """Width and height of its content in pixels of a screen of scale 1."""
+    is_maximized: bool
+    """True if it was maximized: position and size are those from before."""
+
+
 class Preferences(Settings, frozen=True, kw_only=True):
     """Settings of the program. Unknown fields of other versions are ignored."""
 
@@ -103,6 +114,8 @@ class Preferences(Settings, frozen=True, kw_only=True):
     front_panels: tuple[str, ...] = ()
     """Panels that were in front when the last window was closed; empty for the first ones of each side."""
     hidden_panels: tuple[str, ...] = ()
+    window: WindowPlace | None = None
+    """Place of the window that was closed last."""
     recording: dict[str, Any] = msgspec.field(default_factory=dict)
     """Settings of the Record panel that are not the default, by field of `ExportSettings`."""
     records_range: bool = True
