@@ -19,6 +19,8 @@ class DockShares:
         if root is None or min(root.size.x, root.size.y, window.x, window.y) <= 0:  # no layout yet, or minimized
             return
         size = root.size.x, root.size.y
+        if self._size is None and not _docks():  # the default layout is made in the first frames
+            return
         if self._size is None:  # of the last frame, or as it was stored
             self._size, self._window = size, (window.x, window.y)
         size = size[0] + window.x - self._window[0], size[1] + window.y - self._window[1]

@@ -91,3 +91,16 @@ def test_all_rows_are_chosen_by_a_key_of_the_list_copied_and_removed(driver):
     driver.frames()
     driver.press(chord(KEY.mod_ctrl, KEY.a))
     assert not driver.editor.selection.is_empty  # elsewhere it selects Gaussians
+
+
+def test_locked_layers_that_are_chosen_too_stay_as_they_are(driver):
+    document = driver.editor.document
+    driver.panel("Layers")
+    driver.tap("//Layers/members/###lock layers road")
+    driver.tap(ROAD)
+    click_with(driver, KEY.mod_ctrl, WALL)
+    driver.type_in("//Layers/##opacity", 0.5)
+    assert [each.opacity for each in document.scene.layers] == [1.0, 0.5, 1.0]
+    assert document.history.undo_label == "Opacity of wall: 0.50"
+    driver.tap("//Layers/Remove")
+    assert [each.name for each in document.scene.layers] == ["road", "sky"]

@@ -49,6 +49,17 @@ def drag_side(driver, to_share):
     driver.frames(4)
 
 
+@pytest.mark.parametrize(("size_px", "dpi_scale"), [((1366, 768), 1.0), ((1280, 720), 2.0)])
+def test_docks_of_the_first_window_have_their_default_shares(windows, size_px, dpi_scale):
+    def look(driver):
+        shares = shares_of(driver)
+        assert shares["Rain"][0] == pytest.approx(0.28, abs=0.01)
+        assert shares["Layers"][0] == pytest.approx(0.72 * 0.25, abs=0.01)
+        assert shares["Timeline"] == pytest.approx((0.72, 0.23), abs=0.02)
+
+    windows(size_px, dpi_scale, look)
+
+
 def test_docks_have_the_same_shares_in_windows_of_other_sizes_and_scales(windows):
     stored = {}
 
@@ -76,6 +87,11 @@ def test_docks_keep_their_shares_while_the_window_is_resized(driver):
         driver.until(lambda size=size_px: round(imgui.get_main_viewport().size.x) == size[0])
         driver.frames(4)
         assert shares_of(driver) == alike(before)
+    drag_side(driver, 0.5)
+    assert shares_of(driver)["Rain"][0] == pytest.approx(0.5, abs=0.02)
+    driver.menu("View/Panels/Put everything back in its place")
+    driver.frames(4)
+    assert shares_of(driver) == alike(before)
 
 
 def test_the_tab_in_front_of_the_bottom_dock_comes_back(windows):
