@@ -323,11 +323,11 @@ class MainWindow:
     def _continue_frame(self) -> None:
         self._docks.update()
         if time.monotonic() - self._place_noted_s > _PLACE_EVERY_S:
-            self._note_place()
+            self._remember_place()
         if self._input is not None:
             self._input.continue_frame()
 
-    def _note_place(self) -> None:
+    def _remember_place(self) -> None:
         self._place = place_of(glfw_utils.glfw_window_hello_imgui(), self._place)
         self._place_noted_s = time.monotonic()
 
@@ -386,7 +386,7 @@ class MainWindow:
         imgui.progress_bar(-imgui.get_time(), ImVec2(280, 0), "loading")
 
     def _end(self) -> None:
-        self._note_place()
+        self._remember_place()
         if self._editor is not None and self._place != self._editor.preferences.value.window:
             self._editor.preferences.set(window=self._place)
         if self.workspace is not None:
