@@ -28,6 +28,7 @@ _TYPES = {
 """Types of JSON by msgspec's names."""
 
 _OUT_OF_BOUNDS = re.compile(r"Expected `(?:int|float)` (<=|>=|<|>) (\S+)$")
+_HUGE = 1e15  # numbers that are not written out
 _BOUNDS = {"<=": "at most", ">=": "at least", "<": "below", ">": "above"}
 _NO_FIELD = re.compile(r"Object contains unknown field `(.*?)`")
 
@@ -87,7 +88,7 @@ def readable_validation_error(error: Exception, kind: Any, values: Any = None) -
     bound = _OUT_OF_BOUNDS.match(said)
     if bound is not None:
         value = _at(values, place[1]) if place else values
-        given = f"{value:g} " if isinstance(value, int | float) else ""
+        given = f"{value:g} " if isinstance(value, int | float) and abs(value) < _HUGE else ""
         said = f"{given}must be {_BOUNDS[bound[1]]} {float(bound[2]):g}"
     if _WRONG_WORD.match(said):
         words = list(dict.fromkeys(_words(_types(kind, steps[:-1]), steps[-1] if steps else "")))

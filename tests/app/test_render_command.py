@@ -315,7 +315,10 @@ def test_a_sensor_by_name_and_by_file(project, wall, tmp_path, capsys):
         != render(wall, tmp_path / "a.png").read_bytes()
     )
     own.write_text("f_number: 0.1")
-    for wrong, words_of_it in (("nikon", "none of the shipped ones"), (own, ">= 0.7 - at `$.f_number`")):
+    for wrong, words_of_it in (
+        ("nikon", "none of the shipped ones"),
+        (own, "0.1 must be at least 0.7 - at `$.f_number`"),
+    ):
         capsys.readouterr()
         assert run(words(wall, tmp_path / "b.png", "--sensor", wrong)) == 2
         error = capsys.readouterr().err.strip()

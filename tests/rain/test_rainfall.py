@@ -199,8 +199,8 @@ def test_nothing_is_hidden_by_no_rain_nor_by_the_faintest_that_can_be_written(in
     ("text", "words"),
     [
         ("intensity_mmh: 3", "unknown field `intensity_mmh`"),
-        ("intensity_mm_h: 150", "<= 149.0 - at `$.intensity_mm_h`"),
-        ("exposure_s: 2", "<= 1.0 - at `$.exposure_s`"),
+        ("intensity_mm_h: 150", "150 must be at most 149 - at `$.intensity_mm_h`"),
+        ("exposure_s: 2", "2 must be at most 1 - at `$.exposure_s`"),
         ("streak_region: {minimum_m: [0, 0, 0], maximum_m: [1, 0, 1]}", "on y"),
         ("streak_region: {minimum_m: [-1000.1, 0, 0], maximum_m: [1, 1, 1]}", "on x"),
         ("haze_region: {minimum_m: [0, 0, 0], maximum_m: [1, 1, 1000.1]}", "on z"),

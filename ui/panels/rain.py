@@ -49,7 +49,7 @@ from ..widgets.type_ahead import combo_box
 from .glass import glass_fields
 from .lamps import lamp_choice, lamp_fields
 
-_PRESETS_PER_ROW = 3
+_PAPER = "Paper settings"
 PICK_TOOL = "Drop color"
 _WIND = "Wind and seed"
 _WIND_FIELDS = ("wind_speed_m_s", "wind_from_deg", "wind_m_s")
@@ -126,19 +126,22 @@ def wetness_fields(document: Document, live_rain: LiveRain, beside_px: float = 0
 
 def _presets(document: Document) -> None:
     """Draw the presets: of the intensity, and the settings of the paper."""
-    width = share_of_width(_PRESETS_PER_ROW)
+    needed = imgui.calc_text_size(_PAPER).x + 2 * imgui.get_style().frame_padding.x
+    per_row = next((each for each in (3, 2) if share_of_width(each) >= needed), 1)
+    width = share_of_width(per_row)
     for number, (name, rate) in enumerate(INTENSITIES_MM_H.items()):
         command = intensity_command(name)
-        if number % _PRESETS_PER_ROW:
+        if number % per_row:
             imgui.same_line()
         is_on = document.rain_now.intensity_mm_h == rate
         title = f"{name} {rate:g}" if rate else name  # the unit is that of the slider below
         if button(f"{title}###{rate:g}", command.help, width=width, is_on=is_on):
             set_intensity(document, rate)
-    imgui.same_line()
+    if len(INTENSITIES_MM_H) % per_row:
+        imgui.same_line()
     paper = _paper()
     help_text = "Set all rain settings to those of the GSRAIN paper (Wang, Zhang and Chen)."
-    if button("Paper settings###paper", help_text, width=width, is_on=paper == document.rain_now):
+    if button(f"{_PAPER}###paper", help_text, width=width, is_on=paper == document.rain_now):
         document.change_rain("Preset paper", **msgspec.structs.asdict(paper))
 
 
