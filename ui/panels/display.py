@@ -48,10 +48,13 @@ def display_panel(viewport: ViewportState, preferences: PreferencesStore) -> Non
     plain_label("Orthographic", help_of("Orthographic view"))
     _, view.orthographic = imgui.checkbox("##orthographic", view.orthographic)
     plain_label("Marks", "Lines over an orthographic view, and over images of it that are rendered.")
+    left = imgui.get_cursor_pos_x()
     with disabled(not view.orthographic):
         for place, mark in enumerate(get_args(Mark)):
             if place % 2:
                 imgui.same_line()
+            else:
+                imgui.set_cursor_pos_x(left)
             changed, is_on = imgui.checkbox(mark.capitalize(), mark in view.marks)
             if changed:
                 view.marks = view.marks | {mark} if is_on else view.marks - {mark}
