@@ -268,9 +268,9 @@ def test_a_pause_refines_the_picture_before_a_full_one_that_takes_long():
             budget.measured(shown[-1], full_ms if shown[-1].is_exact else 60.0)
         return budget, shown
 
-    budget, (moving, *shown) = paused(900.0)
+    budget, (moving, *shown) = paused(1500.0)
     assert moving == budget.observe(moving=True, real_s=0.03) and shown == [REFINED, FULL_QUALITY, FULL_QUALITY]
-    assert paused(900.0, has_cuts=False)[1][1:] == paused(400.0)[1][1:] == [FULL_QUALITY] * 3
+    assert paused(1500.0, has_cuts=False)[1][1:] == paused(400.0)[1][1:] == [FULL_QUALITY] * 3
     assert paused(100.0)[1][1:] == [FULL_QUALITY] * 3
 
 

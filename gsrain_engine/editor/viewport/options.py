@@ -146,7 +146,7 @@ _FORGET_AFTER = 45  # frames after which a level that was too slow may be tried 
 _FIRST_BACKDROP = 2  # level of backdrops to begin with
 _WARPED_PATIENCE = 6.0  # of a warped picture: longer, what it shows bends; shorter, it is too coarse
 _LONG_MS = 150.0  # drawing time of a full picture from which on a fast one shows a change first
-_VERY_LONG_MS = 600.0  # from which on a refined one comes first when all is at rest
+_VERY_LONG_MS = 1000.0  # from which on a refined one comes first when all is at rest
 _CUTS_A_HALVING = 3  # levels of cuts from one to another of half its time
 
 
