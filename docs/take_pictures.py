@@ -404,7 +404,8 @@ def main() -> None:
     wanted = sys.argv[1:] or [*groups, "themes"]
     use_kernel_cache()
     with tempfile.TemporaryDirectory() as folder:
-        os.environ["XDG_CONFIG_HOME"] = folder  # the default preferences, such as which panels are in front
+        # The default preferences, such as which panels are in front, and no autosave that somebody is asked about later
+        os.environ["XDG_CONFIG_HOME"] = os.environ["XDG_STATE_HOME"] = folder
         if in_one_window := [name for name in wanted if name != "themes"]:
             camera = Photographer(Path(folder))
             camera.run(lambda: [groups[name](camera) for name in in_one_window] and None)
