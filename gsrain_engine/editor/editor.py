@@ -229,7 +229,7 @@ class Editor:
         """True if the picture changes while time plays: rain, road users, or a camera that rides."""
         if self.viewport.options.follow_path or self.playback.rollout_span_s is not None:
             return True
-        falls = self.viewport.options.look == "splats" and not self.viewport.options.orthographic
+        falls = self.viewport.options.look == "splats" and not self.viewport.is_orthographic
         return any(pane.scene.actors or (falls and pane.rainfall.can_rain) for pane in self.split_panes)
 
     @property

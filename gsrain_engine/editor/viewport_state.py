@@ -187,9 +187,14 @@ class ViewportState:
         return RenderView(camera, t, velocity, camera.fx * focal_scale)
 
     @property
+    def is_orthographic(self) -> bool:
+        """True if the view is to scale; along the path it is that of the path's camera."""
+        return self.options.orthographic and not self.options.follow_path
+
+    @property
     def marks(self) -> tuple[Mark, ...]:
         """Marks over the view; none unless it is orthographic."""
-        shown = self.options.marks if self.options.orthographic and not self.options.follow_path else ()
+        shown = self.options.marks if self.is_orthographic else ()
         return tuple(each for each in get_args(Mark) if each in shown)
 
     def look_from_above(self) -> None:

@@ -155,7 +155,7 @@ class NamedViews:
         """The present view of the viewport, in units and axes of the scene."""
         document, viewport, navigation = self._document, self._viewport, self._viewport.navigation
         to_scene = np.linalg.inv(document.scene.scene_to_world)
-        is_plan = viewport.options.orthographic and not viewport.options.follow_path
+        is_plan = viewport.is_orthographic
         camera = navigation.camera(*_VIEW_SIZE) if is_plan else viewport.shot(*_VIEW_SIZE).camera
         pivot = navigation.target if navigation.pivot is None else navigation.pivot
         if viewport.options.follow_path:  # the pivot is that of the camera which was left

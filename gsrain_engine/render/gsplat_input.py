@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ..scene.camera import Camera
-from .cpu.splats import DILATION_PX2, NEAR_M
+from .cpu.splats import DILATION_PX2, nearest_m
 
 torch: Any = import_module("torch")
 Tensor = Any
@@ -18,7 +18,7 @@ def view_arguments(camera: Camera, device: Any) -> dict[str, Any]:
     intrinsics = [[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]]
     size = {"width": camera.width, "height": camera.height}
     lens = uploaded(np.array(intrinsics, np.float32), device)
-    return {"Ks": lens[None], **size, "near_plane": max(NEAR_M, camera.plane_m), "eps2d": DILATION_PX2}
+    return {"Ks": lens[None], **size, "near_plane": nearest_m(camera), "eps2d": DILATION_PX2}
 
 
 def uploaded(values: np.ndarray, device: Any) -> Tensor:

@@ -5,7 +5,6 @@ The window draws the same lines over its view.
 
 import math
 from collections.abc import Collection, Iterator
-from itertools import combinations, product
 from typing import NamedTuple
 
 import cv2
@@ -14,6 +13,7 @@ from jaxtyping import Float64, UInt8
 
 from ..choices import Mark
 from ..scene.camera import Camera
+from ..scene.geometry import EDGES, box_corners
 from ..scene.scene import PoseTrack, Scene
 from .view import RenderView
 
@@ -30,8 +30,6 @@ _MARGIN_PX, _TICK_PX = 16.0, 5.0
 _UNITS = ("km", 1000.0), ("m", 1.0), ("cm", 0.01), ("mm", 0.001)
 _FLATTEST = 0.1  # share of the line of sight that is vertical: flatter, a grid on the ground is a blur
 _MAX_LINES = 400
-_CORNERS = list(product((-1, 1), (-1, 1), (0, 1)))
-_EDGES = [(a, b) for a, b in combinations(range(8), 2) if (a ^ b) in (1, 2, 4)]
 _SHIFT = 4  # fractional bits of drawn coordinates
 
 
@@ -159,11 +157,9 @@ def _boxes(scene: Scene, view: RenderView) -> Iterator[MarkLine]:
         pose = actor.pose_at(view.time_s) if actor.visible else None
         if pose is None:
             continue
-        length, width, height = actor.size_lwh
-        corners = np.array([[x * length / 2, y * width / 2, z * height] for x, y, z in _CORNERS])
-        ahead = np.array([[0, 0, height], [length / 2, 0, height]])
+        length, _, height = actor.size_lwh
         to_world = scene.scene_to_world @ pose
-        points = np.concatenate([corners, ahead]) @ to_world[:3, :3].T + to_world[:3, 3]
-        pixels = _in_picture(points, view.camera)
-        for first, second in (*_EDGES, (8, 9)):
-            yield MarkLine("boxes", pixels[[first, second]])
+        ahead = np.array([[0, 0, height], [length / 2, 0, height]]) @ to_world[:3, :3].T + to_world[:3, 3]
+        pixels = _in_picture(box_corners(to_world, actor.size_lwh), view.camera)
+        for ends in (*pixels[EDGES], _in_picture(ahead, view.camera)):
+            yield MarkLine("boxes", ends)

@@ -27,7 +27,7 @@ def orthographic(camera: Camera, depth_m: float, core: SceneCore) -> Camera:
     """
     scale = camera.fy / depth_m
     plane_m = _EYE_HEIGHTS * camera.height / scale
-    nearest_m = float(_corners(core, camera.world_to_camera)[:, 2].min())
+    nearest_m = float((core.corners @ camera.world_to_camera[2, :3]).min() + camera.world_to_camera[2, 3])
     pose = camera.world_to_camera.copy()
     pose[2, 3] += plane_m - (nearest_m - _BEFORE_CORE * core.radius_m)
     fx, fy = (plane_m * focal / depth_m for focal in (camera.fx, camera.fy))
@@ -52,9 +52,7 @@ def fitted_scale(core: SceneCore, turn: Float64[np.ndarray, "3 3"], width: int, 
 
 def extent_m(core: SceneCore, turn: Float64[np.ndarray, "3 3"]) -> tuple[float, float]:
     """Width and height of a core with a margin, seen in an orientation."""
-    pose = np.eye(4)
-    pose[:3, :3] = turn
-    across_m, down_m, _ = np.ptp(_corners(core, pose), axis=0).tolist()
+    across_m, down_m, _ = np.ptp(core.corners @ turn.T, axis=0).tolist()
     return _MARGIN * max(across_m, 1e-3), _MARGIN * max(down_m, 1e-3)
 
 
@@ -72,8 +70,3 @@ def scaled_camera(
     pose[:3, 3] = [0.0, 0.0, 1.0] - turn @ middle_m  # a meter in front of a pinhole of this scale at a meter
     pinhole = Camera(width, height, pixels_per_m, pixels_per_m, width / 2, height / 2, pose)
     return orthographic(pinhole, 1.0, core)
-
-
-def _corners(core: SceneCore, world_to_camera: Float64[np.ndarray, "4 4"]) -> Float64[np.ndarray, "8 3"]:
-    corners = np.stack(np.meshgrid(*zip(core.low, core.high, strict=True)), axis=-1).reshape(-1, 3)
-    return corners @ world_to_camera[:3, :3].T + world_to_camera[:3, 3]

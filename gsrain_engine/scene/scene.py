@@ -131,6 +131,10 @@ class SceneCore(NamedTuple):
         return (self.low + self.high) / 2
 
     @property
+    def corners(self) -> Float64[np.ndarray, "8 3"]:
+        return np.stack(np.meshgrid(*zip(self.low, self.high, strict=True)), axis=-1).reshape(-1, 3)
+
+    @property
     def radius_m(self) -> float:
         return float(np.linalg.norm(self.high - self.low)) / 2
 

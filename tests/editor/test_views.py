@@ -217,7 +217,7 @@ def test_pictures_are_small_and_damaged_ones_are_left_out():
     assert picture_pixels(cv2.imencode(".png", np.zeros((4000, 4000), np.uint8))[1].tobytes()) is None
 
 
-def test_errors_name_the_view_and_the_most_similar_one():
+def test_errors_name_the_view_and_a_similar_one():
     views = tuple(NamedView(name=name, position=(0, 0, 0), quaternion_wxyz=(1, 0, 0, 0)) for name in ("Gate", "Roof"))
     with pytest.raises(ValueError, match="view 'gat': scene 's' has no view of this name; did you mean 'Gate'"):
         view_named(views, "gat", "s")

@@ -73,7 +73,7 @@ def test_what_is_set_is_shown_and_what_is_shown_is_read(tmp_path, monkeypatch):
 
 
 @needs_display
-def test_a_program_edits_the_open_window_beside_a_person():
+def test_a_program_edits_the_open_window():
     scene = small_scene()
     window = gr.show(scene, gr.Rain(5), block=False, timeout=WINDOW_S)
     with window:

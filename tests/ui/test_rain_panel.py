@@ -24,7 +24,7 @@ def part_in_sight(driver, name):
     return window.inner_clip_rect
 
 
-def test_what_is_used_most_is_in_sight_and_the_rest_is_folded(driver):
+def test_common_controls_are_in_sight_and_others_are_folded(driver):
     driver.editor.document.change_rain("Rain", intensity_mm_h=8.5)
     driver.panel("Rain")
     sight = part_in_sight(driver, "Rain")

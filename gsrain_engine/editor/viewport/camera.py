@@ -250,8 +250,7 @@ def _fitting_distance(core: SceneCore, world_to_camera: Float64[np.ndarray, "3 3
     """Distance from the middle at which a core fills the image: its box with a margin, or its bounding sphere."""
     upright = np.tan(np.radians(FOV_DEG) / 2)
     sphere = max(core.radius_m, 1e-3) / np.sin(np.arctan(upright * min(aspect, 1.0)))
-    corners = np.stack(np.meshgrid(*zip(core.low, core.high, strict=True)), axis=-1).reshape(-1, 3) - core.middle
-    x, y, z = world_to_camera @ corners.T
+    x, y, z = world_to_camera @ (core.corners - core.middle).T
     box = np.max(np.maximum(np.abs(x) / (upright * aspect), np.abs(y) / upright) - z)
     return float(min(sphere, _MARGIN * box + 1e-3))
 

@@ -25,6 +25,7 @@ from .splats import (
     eye_in_object,
     has_bit,
     mask_words,
+    nearest_m,
     rotation_columns,
     shape_of,
     with_footprint,
@@ -110,7 +111,7 @@ def project(
         indices[first:last] = own + counted
         first, counted = last, counted + len(part.gaussians)
     if camera.is_orthographic:
-        colors[colors[:, 3] < camera.plane_m, 3] = 0
+        colors[colors[:, 3] < nearest_m(camera), 3] = 0
     if camera.rows_outside[0]:
         shapes[:, 1] -= np.float32(camera.rows_outside[0])
     return Splats(shapes, colors, indices, points)

@@ -35,6 +35,11 @@ FEW = 8192  # number of Gaussians below which a single thread is faster than sta
 CHUNK = 512  # Gaussians that one thread processes at a time
 
 
+def nearest_m(camera: Camera) -> float:
+    """Depth from which on Gaussians are drawn; an orthographic camera draws none before its plane."""
+    return max(NEAR_M, camera.plane_m)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Splats:
     """Gaussians that may be visible to one camera, in their own order.

@@ -12,7 +12,7 @@ from ...rain.medium import RainMedium
 from ...scene.camera import Camera
 from ...scene.scene import DrawItem
 from ..cpu.lens_projection import lens_view, rolling_pose
-from ..cpu.splats import NEAR_M
+from ..cpu.splats import nearest_m
 from ..images import layer_color
 from .buffers import CHUNK, SH_BITS, SLOTS_BY_BLOCK, GaussianBuffers, GpuArrays, ProjectedSplatBuffer
 from .rain import RainPass, streak_slots
@@ -79,7 +79,7 @@ class ProjectionPass:
         switches = {**store.switches, "SH_BITS": SH_BITS[self._arrays.harmonics], **wet, **dims, **bent}
         frame: dict[str, Any] = {
             "intrinsics": (camera.fx, camera.fy, camera.cx, camera.cy), "image_size": (camera.width, camera.height),
-            "near": max(NEAR_M, camera.plane_m), "camera_to_world": tuple(camera.camera_to_world[:3, :3].T.ravel()),
+            "near": nearest_m(camera), "camera_to_world": tuple(camera.camera_to_world[:3, :3].T.ravel()),
             "look": _MODES.get(mode, 0),
         }  # fmt: skip
         if rain is not None and medium is not None:
