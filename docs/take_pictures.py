@@ -14,12 +14,12 @@ from imgui_bundle import hello_imgui, imgui
 from imgui_bundle.immapp import testing
 from PIL import Image
 
+from app.main import run
 from gsrain_engine.compile_cache import use_kernel_cache
 from gsrain_engine.editor.editor import Editor
 from gsrain_engine.editor.edits.rain_keyframes import replace_keyframes
 from gsrain_engine.rain.keyframes import shower_keyframes
 from gsrain_engine.scene.open import load_scene
-from gsrain_extras.street.command import street
 from ui.commands.keys import chord
 from ui.panels.registry import BUILT_IN_PANELS
 from ui.tools import TOOLS
@@ -254,7 +254,7 @@ def picture_capture(camera: Photographer) -> None:
     """The street's photographs over its Gaussians, from where one was taken; which of its pixels the next one shows."""
     editor, captures = camera.editor, camera.editor.captures
     with tempfile.TemporaryDirectory() as folder:
-        street(Path(folder), moments=13, width=480)
+        run(["street", folder, "--moments", "13", "--width", "480"])
         captures.open(Path(folder) / "images")
         while captures.capture is None or captures.is_working:
             camera.frames(1)
