@@ -37,8 +37,8 @@ _VIDEO = "a video: write its frames into a folder (ffmpeg -i VIDEO FOLDER/%05d.j
 _MESH = "a mesh or a point cloud, no Gaussians"
 _HEIC = "an HEIC or AVIF picture: convert it to JPEG or PNG"
 _CHECKPOINT = (
-    "a checkpoint of a training: export its Gaussians as a PLY (ns-export gaussian-splat of nerfstudio, save_ply of "
-    "gsplat and 3DGS), and give that"
+    "a checkpoint of PyTorch: a scene of a training is named .pth, .pt or .ckpt; of programs that are not read, export "
+    "its Gaussians as a PLY, and give that"
 )
 _CAMERA_PATH = "a camera path: gsrain render SCENE --camera-path FILE -o VIDEO.mp4"
 _COLMAP = "a part of a COLMAP model: give the folder that images and sparse are in"
@@ -164,7 +164,7 @@ FILE_KINDS = (
     # archives, the ones with a known content first
     FileSignature("a part of a scene of HUGSIM: give its folder", suffixes=("scene.pth", "ground.pth", "gs.pth")),
     FileSignature("a SOG scene: name it .sog", _ZIP, holds=(b"means_l.webp",), suffixes=(".sog",)),
-    FileSignature(_CHECKPOINT, _ZIP, holds=(b"/data.pkl",), suffixes=(".pth",)),
+    FileSignature(_CHECKPOINT, _ZIP, holds=(b"/data.pkl",), suffixes=(".pth", ".pt", ".ckpt")),
     FileSignature("a project of SuperSplat: open it there, and export a PLY", _ZIP, holds=(b"document.json",)),
     FileSignature("a file of arrays", suffixes=(".npz", ".npy")),
     FileSignature(_ARCHIVE, (*_ZIP, b"pk\x05\x06"), suffixes=(".sog", ".usdz")),
@@ -175,7 +175,6 @@ FILE_KINDS = (
     FileSignature(
         "a Python pickle, which may run code and is not opened: export its Gaussians as a PLY",
         _PICKLE,
-        suffixes=(".pth",),
     ),
     # pictures and videos
     FileSignature(_IMAGE, (b"\xff\xd8\xff",), suffixes=(".jpg", ".jpeg")),

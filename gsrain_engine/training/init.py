@@ -15,8 +15,9 @@ from ..datasets.geometry import lidar_depth
 from ..datasets.masks import box_outline, can_move, is_moving, moving_boxes, pixel_rays, points_in_box, static_mask
 from ..render.cpu.renderer import CpuRenderer
 from ..scene.gaussians import Gaussians, sh_from_color
-from ..scene.geometry import normalized, quaternions_from_matrices
+from ..scene.geometry import quaternions_from_matrices
 from ..scene.scene import Actor, DrawItem
+from ..scene.sky_dome import dome_directions, dome_gaussians, dome_radius
 from .surfels import Surfels, camera_trajectory, cell_means, point_colors, projected, split_long_gaussians, view_surfels
 
 Depths = Sequence[Float32[np.ndarray, "_ _"]]
@@ -242,11 +243,6 @@ def _holes(
 
 SKY_GAUSSIANS = 8000  # on the upper half of the dome they are 1.6 degrees apart: fine enough for clouds, not for leaves
 _LOWEST = float(np.sin(np.radians(-3.0)))  # the dome reaches slightly below the horizon, since streets end before it
-_SPREAD, _SKY_THICKNESS, _OPACITY = 0.75, 0.02, 0.98
-"""Sigma along and across the dome over the spacing of directions, and opacity."""
-
-_BEYOND = 3.0  # radius of the dome over the distance of the scene's far parts
-_MIN_RADIUS = 400.0  # in meters, for metric captures
 _SAMPLES = 3  # side in pixels of the window averaged for one direction's color in one view
 
 
@@ -263,33 +259,9 @@ def initial_sky(
         return Gaussians.empty()
     center = np.mean([view.camera.position for view in views], axis=0)
     radius = dome_radius(surface, center, capture.is_metric)
-    directions = dome_directions(count, capture.up)
+    directions = dome_directions(count, _LOWEST) @ _frame(capture.up)
     colors = _colors(directions, center + radius * directions, views, skies)
-    n, spacing = len(directions), radius * np.sqrt(2 * np.pi * (1 - _LOWEST) / len(directions))
-    # Rotation from x to the direction: halfway quaternion (1 + cos, axis * sin).
-    turns = np.stack([1 + directions[:, 0], np.zeros(n), -directions[:, 2], directions[:, 1]], axis=1)
-    turns[turns[:, 0] < 1e-6] = [0, 0, 0, 1]
-    return Gaussians(
-        (center + radius * directions).astype(np.float32),
-        np.tile(np.array([_SKY_THICKNESS, 1, 1]) * _SPREAD * spacing, (n, 1)).astype(np.float32),
-        normalized(turns).astype(np.float32),
-        np.full(n, _OPACITY, np.float32),
-        sh_from_color(colors),
-    )
-
-
-def dome_radius(surface: Gaussians, center: Float64[np.ndarray, "3"], is_metric: bool) -> float:
-    """Radius of the sky dome: well beyond everything else in the scene."""
-    far = float(np.quantile(np.linalg.norm(surface.means - center, axis=1), 0.995)) if len(surface) else 1.0
-    return max(_BEYOND * far, _MIN_RADIUS) if is_metric else _BEYOND * far
-
-
-def dome_directions(count: int, up: tuple[float, float, float]) -> Points:
-    """Uniformly spread unit vectors above the lowest elevation: a Fibonacci lattice on the upper sphere."""
-    height = _LOWEST + (1 - _LOWEST) * (np.arange(count) + 0.5) / count
-    angle = np.pi * (3 - np.sqrt(5)) * np.arange(count)
-    ring = np.sqrt(1 - height**2)
-    return np.stack([ring * np.cos(angle), ring * np.sin(angle), height], axis=1) @ _frame(up)
+    return dome_gaussians(directions, colors, center, radius, _LOWEST)
 
 
 def _colors(

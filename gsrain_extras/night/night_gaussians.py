@@ -30,12 +30,13 @@ from gsrain_engine.appearance.wet_look.settings import WetSettings
 from gsrain_engine.appearance.wet_look.water_map import with_water
 from gsrain_engine.appearance.wet_look.wet_gaussians import changed_harmonics, row_of
 from gsrain_engine.scene.find_lamps import is_dark
-from gsrain_engine.scene.gaussians import SH_C0, Gaussians, sh_from_color
-from gsrain_engine.scene.geometry import LUMINANCE, matrices_from_quaternions, quaternions_from_matrices, srgb_to_linear
+from gsrain_engine.scene.gaussians import SH_C0, Gaussians
+from gsrain_engine.scene.geometry import LUMINANCE, matrices_from_quaternions, srgb_to_linear
 from gsrain_engine.scene.lamps import LAMP_REACH_M, Lamp, facing_share, lit_lamps
 from gsrain_engine.scene.progress import Progress, subprogress
 from gsrain_engine.scene.scene import Actor, Layer, Scene, SceneCore, core_bounds, is_sky
 from gsrain_engine.scene.skies import NIGHT, overcast_share
+from gsrain_engine.scene.sky_dome import dome_directions, dome_gaussians
 
 from .lamp_shadows import OpacityGrid
 from .lanterns import bulbs, default_lamps
@@ -435,7 +436,6 @@ def _soaked(albedo: Colors, own: GaussianSurfaces) -> Colors:
 # Sky
 
 _DOME_GAUSSIANS, _DOME_M, _DOME_RADII = 6000, 400.0, 30.0
-_DOME_SPREAD, _DOME_THICKNESS = 0.8, 0.02  # standard deviations, relative to the distance of neighbors
 _BELOW_HORIZON, _LAND = (-0.3, 0.02), 0.1
 """Ramp of the rise of directions from dark land to the sky, and the light of that land relative to the horizon's."""
 
@@ -447,22 +447,8 @@ def night_sky(directions: Float64[np.ndarray, "n 3"]) -> Colors:
 
 def _dome(scene: Scene, core: SceneCore) -> Layer:
     """Sky all around a scene that has none, dark below the horizon."""
-    n = np.arange(_DOME_GAUSSIANS)
-    rise = 1 - (2 * n + 1) / _DOME_GAUSSIANS
-    turn = np.pi * (3 - np.sqrt(5)) * n  # a Fibonacci lattice
-    level = np.sqrt(1 - rise**2)
-    ways = np.stack([level * np.cos(turn), level * np.sin(turn), rise], axis=1)
+    directions = dome_directions(_DOME_GAUSSIANS)
     radius = max(_DOME_M, _DOME_RADII * core.radius_m)
-    colors = night_sky(ways) * (_LAND + (1 - _LAND) * smoothstep(*_BELOW_HORIZON, rise))[:, None]
-    across = _DOME_SPREAD * radius * np.sqrt(4 * np.pi / _DOME_GAUSSIANS)
-    aside = np.cross(ways, np.where(np.abs(ways[:, 2:]) < 0.9, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]))
-    aside /= np.linalg.norm(aside, axis=1, keepdims=True)
-    axes = np.stack([aside, np.cross(ways, aside), ways], axis=2)
-    gaussians = Gaussians(
-        (core.middle + radius * ways).astype(np.float32),
-        np.tile(np.array([1.0, 1.0, _DOME_THICKNESS]) * across, (_DOME_GAUSSIANS, 1)).astype(np.float32),
-        np.asarray(quaternions_from_matrices(axes), np.float32),
-        np.full(_DOME_GAUSSIANS, 0.98, np.float32),
-        sh_from_color(colors.astype(np.float32)),
-    )
+    land = _LAND + (1 - _LAND) * smoothstep(*_BELOW_HORIZON, directions[:, 2])
+    gaussians = dome_gaussians(directions, night_sky(directions) * land[:, None], core.middle, radius)
     return Layer("sky", gaussians, "sky", np.linalg.inv(scene.scene_to_world))

@@ -20,7 +20,8 @@ from gsrain_engine.scene.formats.scene_files import read_scene
 
 POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a2146\nsize 12345\n"
 ARCHIVE, PICTURE, LFS, VIDEO = "it is an archive", "it is a picture", "it is a pointer of Git LFS", "it is a video"
-CHECKPOINT = "it is a checkpoint of a training: export its Gaussians as a PLY"
+DAMAGED = "no checkpoint of plain tensors: it is damaged, or none of PyTorch"
+CHECKPOINT = "it is a checkpoint of PyTorch: a scene of a training is named .pth, .pt or .ckpt"
 
 
 def zipped(file: Path, *names: str) -> Path:
@@ -51,8 +52,8 @@ FILES = {
     "old.bag": (lambda file: written(file, b"#ROSBAG V2.0\n" + bytes(50)), "it is a bag of ROS 1: rosbags-convert"),
     "metadata.yaml": (lambda file: written(file, b"rosbag2_bagfile_information:\n"), "give its folder"),
     "a.parquet": (lambda file: written(file, b"PAR1" + bytes(50)), "it is a table of a data set"),
-    "ckpt_29999_rank0.pt": (lambda file: zipped(file, "ckpt_29999_rank0/data.pkl"), CHECKPOINT),
-    "step-000029999.ckpt": (lambda file: zipped(file, "archive/data.pkl"), CHECKPOINT),
+    "ckpt_29999_rank0.pt": (lambda file: zipped(file, "ckpt_29999_rank0/data.pkl"), DAMAGED),
+    "step-000029999.ckpt": (lambda file: zipped(file, "archive/data.pkl"), DAMAGED),
     "renamed.zip": (lambda file: zipped(file, "archive/data.pkl"), CHECKPOINT),
     "chkpnt30000.pth": (lambda file: written(file, b"\x80\x02}q\0."), "it is a Python pickle"),
     "scene.pth": (lambda file: zipped(file, "archive/data.pkl"), "give its folder"),

@@ -13,8 +13,9 @@ from gsrain_engine.datasets.undistort import undistort_frame
 from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.gaussians import SH_C0, Gaussians
 from gsrain_engine.scene.scene import DrawItem
+from gsrain_engine.scene.sky_dome import dome_radius
 from gsrain_engine.training import init
-from gsrain_engine.training.init import actor_layers, dome_radius, initial_gaussians, initial_sky, inpaint_road
+from gsrain_engine.training.init import actor_layers, initial_gaussians, initial_sky, inpaint_road
 from gsrain_engine.training.surfels import LONGEST, SPREAD, camera_trajectory, split_long_gaussians
 from rasterized import rasterize
 

@@ -18,18 +18,18 @@ from typing import Annotated, Any, NamedTuple
 
 import msgspec
 import numpy as np
-from jaxtyping import Float32, Float64, Int64
+from jaxtyping import Bool, Float64, Int64
 from msgspec import Meta
 
 from ...safe_io.errors import SceneFormatError, convert_checked
-from ...safe_io.limits import check_file, check_zip_expansion, open_file, read_file
-from ...safe_io.text_files import json_values, printable_line
+from ...safe_io.limits import read_file
+from ...safe_io.text_files import json_values
 from ..camera import DEFAULT_EXPOSURE_S
-from ..gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
-from ..geometry import quaternions_from_matrices
+from ..gaussians import Gaussians
 from ..scene import Actor, Layer, PoseTrack, RigCamera, Scene
-from ..transforms import FILE_UP, transform_gaussians
-from ._common import check_expansion, checked_gaussians, usable_rows
+from ..transforms import FILE_UP
+from .boxed_actor import boxed_actor, track_of
+from .tensors import MISFITS, SplatTensors, activated_rows, array_of, load_tensors, misfit
 
 _SCENE, _VEHICLE = "scene.pth", "gs.pth"
 _CONFIG, _RECORDING, _SIZE, _ROAD = "cfg.yaml", "meta_data.json", "wlh.json", "ground.pth"
@@ -45,7 +45,6 @@ _MODEL_VALUES = 9  # values of a model's state before the road's
 _CAMERA_TO_EGO = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 _Matrix = list[list[float]]
 _Size = tuple[float, float, float]
-_DAMAGED = ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError
 
 
 class _Frame(msgspec.Struct, frozen=True):
@@ -152,7 +151,8 @@ def _cameras(frames: Sequence[_Frame]) -> tuple[PoseTrack | None, dict[str, tupl
     poses = {frame.timestamp: frame.camera_to_scene for frame in frames if frame.camera == front}
     if len(poses) < 2:
         return None, {}
-    ego = _track(poses, np.linalg.inv(_CAMERA_TO_EGO), is_endless=True)
+    times, cameras, valid = _samples(poses, is_endless=True)
+    ego = track_of(times, cameras @ np.linalg.inv(_CAMERA_TO_EGO), valid)
     rig: dict[str, RigCamera] = {}
     for frame in frames:
         if frame.camera not in rig and (pose := ego.pose(frame.timestamp)) is not None:
@@ -164,15 +164,14 @@ def _cameras(frames: Sequence[_Frame]) -> tuple[PoseTrack | None, dict[str, tupl
     return ego, {_RIG: tuple(rig.values())}
 
 
-def _track(
-    poses: Mapping[float, Float64[np.ndarray, "4 4"]], local: Float64[np.ndarray, "4 4"], *, is_endless: bool
-) -> PoseTrack:
-    """Track of `poses[time] @ local`; one that is not endless is absent after its last sample."""
+def _samples(
+    poses: Mapping[float, Float64[np.ndarray, "4 4"]], *, is_endless: bool
+) -> tuple[Float64[np.ndarray, " t"], Float64[np.ndarray, "t 4 4"], Bool[np.ndarray, " t"]]:
+    """Times, poses and validity of a track; one that is not endless is absent after its last sample."""
     times = sorted(poses)
-    matrices = np.stack([poses[time_s] @ local for time_s in times])
-    valid = np.ones(len(times), bool)
+    valid = np.ones(len(times), np.bool_)
     valid[-1] = is_endless
-    return PoseTrack(np.array(times), matrices[:, :3, 3], quaternions_from_matrices(matrices[:, :3, :3]), valid)
+    return np.array(times), np.stack([poses[time_s] for time_s in times]), valid
 
 
 # Vehicles
@@ -223,15 +222,7 @@ def _actor(
     *,
     is_endless: bool,
 ) -> Actor:
-    """Turn a vehicle to our axes (x forward, y left, z up, origin at the bottom center); `corners` are in its own."""
-    to_actor = np.eye(4)
-    to_actor[:3, :3] = np.stack([front, np.cross(up, front), up])
-    turned = corners @ to_actor[:3, :3].T
-    low, high = turned.min(axis=0), turned.max(axis=0)
-    to_actor[:3, 3] = *(-(low + high) / 2)[:2], -low[2]
-    length, width, height = (high - low).tolist()
-    track = _track(poses, np.linalg.inv(to_actor), is_endless=is_endless)
-    return Actor(name, "car", (length, width, height), transform_gaussians(gaussians, to_actor), track)
+    return boxed_actor(name, "car", gaussians, front, up, corners, *_samples(poses, is_endless=is_endless))
 
 
 def _unicycle_poses(path: Path) -> dict[float, Float64[np.ndarray, "4 4"]]:
@@ -239,7 +230,7 @@ def _unicycle_poses(path: Path) -> dict[float, Float64[np.ndarray, "4 4"]]:
     from scipy.spatial.transform import Rotation  # loads slowly, and few scenes need it
 
     try:
-        x, z, _, pitch_roll, yaw, y, times = (_array(each).astype(np.float64) for each in _checkpoint(path)[:7])
+        x, z, _, pitch_roll, yaw, y, times = (array_of(each).astype(np.float64) for each in _checkpoint(path)[:7])
         poses = np.tile(np.eye(4), (len(times), 1, 1))
         poses[:, :3, 3] = np.stack([x, y, z], axis=1)
         angles = np.pi / 2 - np.column_stack([pitch_roll, yaw])
@@ -247,8 +238,8 @@ def _unicycle_poses(path: Path) -> dict[float, Float64[np.ndarray, "4 4"]]:
         if not (np.isfinite(poses).all() and np.isfinite(times).all()):
             raise ValueError("a pose or a time is not finite")
         return dict(zip(times.tolist(), poses, strict=True))
-    except _DAMAGED as error:
-        raise _damaged(path, error) from None
+    except MISFITS as error:
+        raise misfit(path, error) from None
 
 
 def _bounds(gaussians: Gaussians) -> Float64[np.ndarray, "2 3"]:
@@ -271,18 +262,7 @@ def _signed_axis(direction: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "3"
 
 def _checkpoint(path: Path) -> Sequence[Any]:
     """State of a model: the first of the two values of a checkpoint."""
-    import torch  # slow to import
-
-    try:
-        check_file(path)
-        with open_file(path) as stream:
-            check_zip_expansion(stream, path)
-            found: Any = torch.load(stream, map_location="cpu", weights_only=True)
-    except FileNotFoundError:
-        raise
-    except Exception as error:  # torch raises many types
-        reason = printable_line(str(error).split("\n")[0]) or type(error).__name__
-        raise SceneFormatError(path, f"not a checkpoint of plain tensors: {reason}") from None
+    found = load_tensors(path)
     state = found[0] if isinstance(found, tuple | list) and len(found) == 2 else found
     if not isinstance(state, tuple | list):
         raise SceneFormatError(path, f"holds {type(found).__name__}, not the tensors of a model")
@@ -301,28 +281,11 @@ def _read_model(path: Path, state: Sequence[Any]) -> _Model:
     opacities before the sigmoid, ...). The road's Gaussians are flat and have two scales.
     """
     try:
-        degree, count, file_bytes = int(state[0]), len(state[1]), path.stat().st_size
-        coefficients = COEFFICIENTS_OF_DEGREE[degree]
-        check_expansion(path, count, coefficients, file_bytes)
-        means, constant, rest, features, scales, quaternions, opacities = (_array(each) for each in state[1:8])
-        if scales.shape[1] == 2:
-            scales = np.insert(scales, 1, np.log(_ROAD_THICKNESS_M), axis=1)
-        sh = np.concatenate([constant.reshape(count, 1, 3), rest.reshape(count, -1, 3)], axis=1)[:, :coefficients]
-        with np.errstate(over="ignore"):
-            opacities = 1 / (1 + np.exp(-opacities.reshape(count)))
-        arrays = means, np.exp(scales), quaternions, opacities, np.ascontiguousarray(sh)
-        fit = usable_rows(path, *arrays)
-        gaussians = checked_gaussians(path, *(each[fit] for each in arrays))
-        return _Model(gaussians, features.reshape(count, -1)[fit].argmax(axis=1))
+        means, constant, others, features, scales, quaternions, logits = state[1:8]
+        trained = SplatTensors(means, scales, quaternions, logits, constant, others, thickness=_ROAD_THICKNESS_M)
+        gaussians, fit = activated_rows(path, trained, max_degree=int(state[0]))
+        return _Model(gaussians, array_of(features).reshape(len(fit), -1)[fit].argmax(axis=1))
     except SceneFormatError:
         raise
-    except _DAMAGED as error:
-        raise _damaged(path, error) from None
-
-
-def _array(tensor: Any) -> Float32[np.ndarray, "..."]:
-    return np.array(tensor.detach().float().numpy(), np.float32, order="C")
-
-
-def _damaged(path: Path, error: Exception) -> SceneFormatError:
-    return SceneFormatError(path, f"its tensors don't fit together: {printable_line(error)}")
+    except MISFITS as error:
+        raise misfit(path, error) from None

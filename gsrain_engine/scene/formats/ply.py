@@ -18,9 +18,10 @@ from ...kernels import kernel
 from ...safe_io.errors import SceneFormatError
 from ...safe_io.limits import open_file
 from ..gaussians import COEFFICIENTS_OF_DEGREE, Gaussians, sh_from_color
-from ..scene import Actor, Layer, PoseTrack, Scene
+from ..scene import Actor, Layer, Scene
 from ..transforms import FILE_UP, far_place, flatten_scene, moved_gaussians, origin_in_file
 from ._common import check_room, checked_gaussians, printable_name, stem_of
+from .boxed_actor import hidden_actor
 from .compressed_ply import is_compressed, read_compressed
 from .ply_header import ANTIALIASED, PlyElement, element_rows, read_ply_header
 
@@ -101,7 +102,7 @@ def read_ply_scene(path: Path) -> Scene:
                 read = _read_vertices(path, file, elements, element)
                 part = element.name.removeprefix(_OBJECT_ELEMENT) if len(vertices) > 1 else name
                 if _is_object(element):
-                    actors.append(_hidden_actor(part, read.in_file))
+                    actors.append(hidden_actor(part, read.in_file))
                 else:
                     layers.append(Layer(part, read.gaussians, "sky" if part == "sky" else "background", read.to_scene))
     if actors:
@@ -195,13 +196,6 @@ def _is_object(element: PlyElement) -> bool:
     return element.name.startswith(f"{_OBJECT_ELEMENT}obj_")
 
 
-def _hidden_actor(name: str, gaussians: Gaussians) -> Actor:
-    """Actor of an object whose origin is the center of its box; ours is the center of its bottom."""
-    length, width, height = (2 * np.abs(gaussians.means).max(axis=0, initial=0)).tolist()
-    raised = moved_gaussians(gaussians, np.array([0, 0, height / 2]))
-    return Actor(name, "object", (length, width, height), raised, PoseTrack.standing(np.eye(4)), visible=False)
-
-
 def _read_vertices(
     path: Path, file: BufferedReader, elements: dict[str, PlyElement], vertex: PlyElement, rows: slice = slice(None)
 ) -> _Vertices:
@@ -247,7 +241,7 @@ def _read_vertices(
         if layout.color_range:
             sh[:, 0] = sh_from_color(sh[:, 0] / np.float32(layout.color_range))[:, 0]
         if layout.smoothing:
-            _smooth(scales, opacities, smoothing)
+            apply_3d_filter(scales, opacities, smoothing)
     found = checked_gaussians(path, means, scales, quaternions, opacities, sh)
     return _Vertices(replace(found, antialiased=vertex.is_antialiased or bool(layout.smoothing)), place)
 
@@ -273,7 +267,7 @@ def _are_activated(path: Path, scales: Float32[np.ndarray, "n 3"], opacities: Fl
     return True
 
 
-def _smooth(
+def apply_3d_filter(
     scales: Float32[np.ndarray, "n 3"], opacities: Float32[np.ndarray, " n"], smoothing: Float32[np.ndarray, " n"]
 ) -> None:
     """Apply the 3D filter of Mip-Splatting in place: wider Gaussians with the same integral (Yu et al. 2024, eq. 9)."""

@@ -184,7 +184,7 @@ def _replaced(old, new):
         ("scene.pth", _changed(0, lambda _: 7)),
         ("scene.pth", _changed(1, lambda means: means[:-1])),
         ("scene.pth", _changed(1, lambda means: means * np.nan)),
-        ("scene.pth", _changed(5, lambda scales: scales[:, :1])),
+        ("scene.pth", _changed(5, lambda scales: scales.repeat(1, 2))),
         ("scene.pth", _changed(6, lambda quaternions: quaternions * 0)),
         ("scene.pth", _changed(7, lambda _: "opacity")),
         ("scene.pth", _changed(1, lambda means: torch.zeros(1, 3).expand(50_000_000, 3))),

@@ -1,0 +1,1 @@
+"""Scenes in checkpoints of trainings: drivestudio, StreetGaussians, nerfstudio, MTGS, gsplat, 3DGS."""
