@@ -16,9 +16,9 @@ import time
 import zipfile
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
-from io import BufferedReader
+from io import BufferedReader, BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import lazy_loader
 
@@ -128,7 +128,7 @@ def check_expansion(name: Path | str, content_bytes: int, stored_bytes: int, *, 
         raise TooLargeError(errno.EFBIG, problem, str(name))
 
 
-def check_zip_expansion(stream: BinaryIO, name: Path | str) -> None:
+def check_zip_expansion(stream: BufferedReader | BytesIO, name: Path | str) -> None:
     """Raise `TooLargeError` if a stream is a zip file whose members are too large together; returns to its start."""
     if zipfile.is_zipfile(stream):
         stored = stream.seek(0, os.SEEK_END)

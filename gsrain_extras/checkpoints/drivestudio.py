@@ -23,9 +23,9 @@ from gsrain_engine.scene.formats.tensors import SplatTensors, activated, activat
 from gsrain_engine.scene.gaussians import Gaussians
 from gsrain_engine.scene.geometry import matrices_from_quaternions
 from gsrain_engine.scene.scene import Actor, Layer, Scene
+from gsrain_engine.scene.sky_dome import checked_cubemap, dome_layer, sample_cubemap
 from gsrain_engine.scene.transforms import FILE_UP
 
-from .cubemap import cubemap_layer
 from .naming import has_tensors, scene_name, settings_text
 
 logger = logging.getLogger("gsrain")
@@ -70,9 +70,8 @@ def scene_of(path: Path, state: Any) -> Scene:
     up = _up(actors, settings)
     sky = models.get(_SKY)
     if has_tensors(sky, "base"):
-        layers.append(
-            cubemap_layer(sky["base"], _TO_CUBEMAP, Gaussians.concatenate([each.gaussians for each in layers]))
-        )
+        cubemap = checked_cubemap(array_of(sky["base"]))
+        layers.append(dome_layer(lambda ways: sample_cubemap(cubemap, ways @ _TO_CUBEMAP.T), layers))
     elif sky is not None:
         logger.warning("%s: its sky is a network, which is not read: the scene has none", path)
     return Scene(
@@ -86,16 +85,16 @@ def scene_of(path: Path, state: Any) -> Scene:
 
 def _models(state: Any) -> Mapping[str, Any]:
     models = state["models"]
-    return models if isinstance(models, Mapping) else {}  # pyright: ignore[reportUnknownVariableType]
+    return models if isinstance(models, Mapping) else {}
 
 
 def _trained(tensors: Mapping[str, Any], rows: Any = slice(None)) -> SplatTensors:
     others = tensors.get("_features_rest")
     names = ("_means", "_scales", "_quats", "_opacities", "_features_dc")
     means, scales, quaternions, logits, constant = (tensors[name][rows] for name in names)
-    squashed = others is None or others.numel() == 0
-    others = None if squashed else others[rows]
-    return SplatTensors(means, scales, quaternions, logits, constant, others, is_squashed=squashed)
+    if others is None or others.numel() == 0:
+        return SplatTensors(means, scales, quaternions, logits, constant, is_squashed=True)
+    return SplatTensors(means, scales, quaternions, logits, constant, others[rows])
 
 
 def _actors(path: Path, name: str, tensors: Mapping[str, Any], rate: float) -> list[Actor]:

@@ -47,7 +47,7 @@ def read_checkpoint_scene(path: Path) -> Scene:
 def _contents(state: Any) -> str:
     if not isinstance(state, Mapping):
         return type(state).__name__
-    names = [printable_line(str(name)) for name in list(state)[: _MAX_NAMES + 1]]  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
+    names = [printable_line(str(name)) for name in list(state)[: _MAX_NAMES + 1]]
     more = [*names[:_MAX_NAMES], "..."] if len(names) > _MAX_NAMES else names
     return ", ".join(more) or "nothing"
 

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 from gsrain_engine.safe_io.limits import read_file
 
@@ -28,6 +28,6 @@ def settings_text(path: Path) -> str:
         return ""
 
 
-def has_tensors(state: Any, *names: str) -> bool:
+def has_tensors(state: Any, *names: str) -> TypeGuard[Mapping[str, Any]]:
     """Return whether a value of a checkpoint is a mapping that has all names."""
     return isinstance(state, Mapping) and all(name in state for name in names)

@@ -49,7 +49,7 @@ def scene_of(path: Path, state: Any) -> Scene:
 
 
 def _is_captured(state: Any) -> bool:
-    is_pair = isinstance(state, tuple | list) and len(state) == 2 and isinstance(state[0], tuple | list)  # pyright: ignore[reportUnknownArgumentType]
+    is_pair = isinstance(state, tuple | list) and len(state) == 2 and isinstance(state[0], tuple | list)
     return is_pair and len(state[0]) in _CAPTURED and isinstance(state[0][0], int)
 
 

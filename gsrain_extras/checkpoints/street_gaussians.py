@@ -10,15 +10,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from gsrain_engine.scene.formats import printable_name
 from gsrain_engine.scene.formats.boxed_actor import hidden_actor
-from gsrain_engine.scene.formats.tensors import SplatTensors, activated
-from gsrain_engine.scene.gaussians import Gaussians
+from gsrain_engine.scene.formats.tensors import SplatTensors, activated, array_of
 from gsrain_engine.scene.scene import Actor, Layer, Scene
+from gsrain_engine.scene.sky_dome import checked_cubemap, dome_layer, sample_cubemap
 
-from .cubemap import cubemap_layer
 from .naming import has_tensors, scene_name
 
 logger = logging.getLogger("gsrain")
@@ -28,7 +25,7 @@ _OBJECT = "obj_"
 
 def matches(state: Any) -> bool:
     """Return whether a checkpoint has this layout."""
-    return isinstance(state, Mapping) and any(has_tensors(each, *_GAUSSIANS) for each in state.values())  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
+    return isinstance(state, Mapping) and any(has_tensors(each, *_GAUSSIANS) for each in state.values())
 
 
 def scene_of(path: Path, state: Any) -> Scene:
@@ -49,6 +46,6 @@ def scene_of(path: Path, state: Any) -> Scene:
         logger.warning("%s: the tracks of %d objects are not in it: they are hidden actors", path, len(actors))
     sky = state.get("sky_cubemap")
     if has_tensors(sky, "params") and has_tensors(sky["params"], "sky_cube_map"):
-        around = Gaussians.concatenate([each.gaussians for each in layers])
-        layers.append(cubemap_layer(sky["params"]["sky_cube_map"], np.eye(3), around))
+        cubemap = checked_cubemap(array_of(sky["params"]["sky_cube_map"]))
+        layers.append(dome_layer(lambda ways: sample_cubemap(cubemap, ways), layers))
     return Scene(printable_name(scene_name(path)), tuple(layers), tuple(actors), up=(0.0, 0.0, 1.0))

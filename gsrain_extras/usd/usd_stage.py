@@ -47,12 +47,15 @@ def read_stage(stage_file: Path, folder: Path) -> dict[str, Any]:
             reader.add_field(prim)
         elif prim.GetTypeName() == "Camera":
             reader.add_camera(prim)
+        elif prim.GetTypeName() == "Volume" and _value(prim, "omni:nurec:isNuRecVolume"):
+            reader.add_volume(prim)
     return {
         "up": str(UsdGeom.GetStageUpAxis(stage)),
         "metres_per_unit": float(UsdGeom.GetStageMetersPerUnit(stage)),
         "fields": reader.fields,
         "movers": [*reader.movers.values()],
         "cameras": reader.cameras,
+        "volumes": reader.volumes,
     }
 
 
@@ -63,6 +66,8 @@ class _StageReader:
         self.movers: dict[str, dict[str, Any]] = {}
         """Moving prims by path: pose, and at which times it is visible."""
         self.cameras: list[dict[str, Any]] = []
+        self.volumes: list[dict[str, Any]] = []
+        """Volumes of NuRec: the file in the archive with their Gaussians, and their placement."""
 
     def add_field(self, prim: Any) -> None:
         if self.is_invisible(prim):
@@ -99,6 +104,11 @@ class _StageReader:
                 "exposure_s": float(_value(prim, "gsrain:exposureS") or 0.0),
             }
         )
+
+    def add_volume(self, prim: Any) -> None:
+        files = {str(getattr(_value(each, "filePath"), "path", "")).removeprefix("./") for each in prim.GetChildren()}
+        matrix = self.matrix(prim)
+        self.volumes += [{"file": file, "matrix": matrix} for file in sorted(files) if file.endswith(".nurec")]
 
     def save(self, prim: Any) -> dict[str, int]:
         """Write the arrays of a field; missing or short ones get the schema's defaults, longer ones are cut."""

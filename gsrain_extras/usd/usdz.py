@@ -13,6 +13,7 @@ import secrets
 import subprocess
 import sys
 import tempfile
+import zipfile
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
@@ -32,6 +33,8 @@ from gsrain_engine.scene.scene import Actor, Layer, PoseTrack, RigCamera, Scene,
 from gsrain_engine.scene.transforms import FILE_UP, bake_item, flatten_scene, lost_far_out, transform_gaussians
 
 from .nurec import METADATA, nurec_files, scene_id_in
+from .nurec_volume import CHECKPOINT, scene_in_usdz, state_in_usdz, state_of_volume
+from .splatsim import is_splatsim, lost_in_splatsim, scene_in_zip, write_splatsim, write_splatsim_scene
 from .usd_stage import ARRAYS, RESULT, pxr_module, read_stage
 
 _LAYER_SUFFIXES = (".usd", ".usda", ".usdc")
@@ -59,34 +62,59 @@ def read_usdz_scene(path: Path) -> Scene:
     if they move; USD's cameras have no size in pixels: those of other programs get a width of 1920. The scene has the
     name by which AlpaSim asks for it (`scene_id` in `metadata.yaml`), or that of the file.
 
-    Raises `SceneFormatError` if the file is damaged, has no Gaussians, or refers to files outside of it.
+    Scenes of SplatSim and NuRec are read as those, see `splatsim.py` and `nurec_volume.py`. Raises `SceneFormatError`
+    if the file is damaged, has no Gaussians, or refers to files outside of it.
     """
     data = read_file(path)
-    with tempfile.TemporaryDirectory(prefix="gsrain-usdz-") as folder:
-        root = _unpack(path, data, Path(folder) / "stage")
-        arrays = Path(folder) / "arrays"
-        arrays.mkdir()
-        scene = _scene_of(path, _stage(path, root, arrays), arrays)
     with open_zip(path, data) as archive:
+        if is_splatsim(path, archive):
+            return scene_in_zip(path, archive, len(data))
         has_metadata = METADATA in archive.namelist()
         name = scene_id_in(read_member(path, archive, METADATA, _LARGEST_METADATA)) if has_metadata else None
+        with tempfile.TemporaryDirectory(prefix="gsrain-usdz-") as folder:
+            root = _unpack(path, archive, len(data), Path(folder) / "stage")
+            arrays = Path(folder) / "arrays"
+            arrays.mkdir()
+            stage = _stage(path, root, arrays)
+            if stage["fields"] or not (stage["volumes"] or CHECKPOINT in archive.namelist()):
+                scene = _scene_of(path, stage, arrays)
+            else:
+                scene = _nurec_scene(path, archive, len(data), stage)
     return scene if name is None else replace(scene, name=name)
 
 
-def _unpack(path: Path, data: bytes, folder: Path) -> Path:
+def _nurec_scene(path: Path, archive: zipfile.ZipFile, most: int, stage: dict[str, Any]) -> Scene:
+    """Scene of the volumes of NuRec, or of its checkpoint if it has none, where the first of them is placed."""
+    volumes = stage["volumes"]
+    states = [state_of_volume(path, read_member(path, archive, each["file"], most)) for each in volumes]
+    scene = scene_in_usdz(path, archive, states or [state_in_usdz(path, archive, most)], _name_of(path))
+    matrix = _similarity(path, "volume", volumes[0]["matrix"]) if volumes else np.eye(4)
+    return replace(
+        scene,
+        layers=tuple(replace(each, to_scene=matrix) for each in scene.layers),
+        actors=tuple(replace(each, track=each.track.moved(matrix)) for each in scene.actors),
+        ego=scene.ego if scene.ego is None else scene.ego.moved(matrix),
+        up=_UPS.get(stage["up"], FILE_UP),
+    )
+
+
+def _name_of(path: Path) -> str:
+    return path.name[: -len(".usdz")] or "scene"
+
+
+def _unpack(path: Path, archive: zipfile.ZipFile, most: int, folder: Path) -> Path:
     """Write the USD layers in the file to a folder, after their checksums are verified; returns the first."""
     root: Path | None = None
-    with open_zip(path, data) as archive:
-        names = [name for name in archive.namelist() if name.lower().endswith(_LAYER_SUFFIXES)]
-        for name in names:
-            parts = PurePosixPath(name).parts
-            if PurePosixPath(name).is_absolute() or ".." in parts or "\\" in name or ":" in name or "\0" in name:
-                raise SceneFormatError(path, f"{name[:40]!r} is no name of a file inside of it")
-            place = folder.joinpath(*parts)
-            content = read_member(path, archive, name, len(data))
-            place.parent.mkdir(parents=True, exist_ok=True)
-            place.write_bytes(content)
-            root = root or place
+    names = [name for name in archive.namelist() if name.lower().endswith(_LAYER_SUFFIXES)]
+    for name in names:
+        parts = PurePosixPath(name).parts
+        if PurePosixPath(name).is_absolute() or ".." in parts or "\\" in name or ":" in name or "\0" in name:
+            raise SceneFormatError(path, f"{name[:40]!r} is no name of a file inside of it")
+        place = folder.joinpath(*parts)
+        content = read_member(path, archive, name, most)
+        place.parent.mkdir(parents=True, exist_ok=True)
+        place.write_bytes(content)
+        root = root or place
     if root is None:
         raise SceneFormatError(path, "there is no USD layer (.usd, .usda, .usdc) in the zip file")
     return root
@@ -123,8 +151,7 @@ def _stage(path: Path, root: Path, folder: Path) -> dict[str, Any]:
 def _scene_of(path: Path, stage: dict[str, Any], folder: Path) -> Scene:
     fields = stage["fields"]
     if not fields:
-        told = "it has no Gaussians (ParticleField3DGaussianSplat); volumes of NuRec can't be read"
-        raise SceneFormatError(path, told)
+        raise SceneFormatError(path, "it has no Gaussians (ParticleField3DGaussianSplat, or a volume of NuRec)")
     largest = max(field["coefficients"] for field in fields)
     if largest not in COEFFICIENTS_OF_DEGREE:
         raise SceneFormatError(path, f"SH with {largest} coefficients can't be read")
@@ -159,9 +186,8 @@ def _scene_of(path: Path, stage: dict[str, Any], folder: Path) -> Scene:
         mover = movers[camera["mover"]]
         if mover in egos[:1]:
             rigs[camera["rig"]] = (*rigs.get(camera["rig"], ()), _rig_camera(path, camera, mover.rest, unit))
-    name = path.name[: -len(".usdz")] or "scene"
     return Scene(
-        name,
+        _name_of(path),
         tuple(layers),
         tuple(actors),
         metres_per_unit=unit,
@@ -410,4 +436,14 @@ FORMAT = Format(
     write_scene=write_usdz_scene,
     lost=lost_in_usdz,
     packages=("pxr",),
+)
+SPLATSIM = Format(
+    ".splatsim.usdz",
+    read_usdz,
+    write_splatsim,
+    "scenes of SplatSim (Autoware), `splatsim.scene/v2` and `/v3`, which is written: chunks of SPZ, actors with "
+    "tracks, rigs. Any `.usdz` is read as what it holds: these, too, and scenes of NuRec",
+    read_scene=read_usdz_scene,
+    write_scene=write_splatsim_scene,
+    lost=lost_in_splatsim,
 )

@@ -57,7 +57,7 @@ def gunzip(path: Path, data: bytes, at_most: int) -> bytes:
     except zlib.error:
         raise SceneFormatError(path, "the gzip stream is damaged") from None
     if len(unpacked) > at_most:
-        raise SceneFormatError(path, f"the gzip stream holds more than the {at_most} bytes that the header speaks of")
+        raise SceneFormatError(path, f"the gzip stream holds more than {at_most} bytes, which it may hold at most")
     if not stream.eof:
         raise SceneFormatError(path, "the gzip stream ends too early: the file is cut off")
     return unpacked

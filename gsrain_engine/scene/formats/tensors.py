@@ -1,6 +1,7 @@
 """Gaussians in checkpoints of PyTorch, as trainings keep them: log scales, opacity logits, harmonics in two parts."""
 
 import re
+from io import BufferedReader, BytesIO
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -45,13 +46,18 @@ def load_tensors(path: Path) -> Any:
 
     Raises `SceneFormatError` if it is damaged or holds anything else.
     """
+    check_file(path)
+    with open_file(path) as stream:
+        return tensors_in(path, stream)
+
+
+def tensors_in(path: Path, stream: BufferedReader | BytesIO) -> Any:
+    """Contents of a checkpoint that is part of the file at `path`; see `load_tensors`."""
     import torch  # slow to import
 
     try:
-        check_file(path)
-        with open_file(path) as stream:
-            check_zip_expansion(stream, path)
-            return torch.load(stream, map_location="cpu", weights_only=True)
+        check_zip_expansion(stream, path)
+        return torch.load(stream, map_location="cpu", weights_only=True)
     except OSError:
         raise
     except Exception as error:  # torch raises many types
@@ -112,8 +118,9 @@ def _three(scales: Float32[np.ndarray, "n k"], thickness: float) -> Float32[np.n
 
 
 def array_of(tensor: Any) -> Float32[np.ndarray, "..."]:
-    """Copy of a tensor's values."""
-    return np.array(tensor.detach().float().numpy(), np.float32, order="C")
+    """Copy of the values of a tensor or an array."""
+    values = tensor if isinstance(tensor, np.ndarray) else tensor.detach().float().numpy()
+    return np.array(values, np.float32, order="C")
 
 
 def misfit(path: Path, error: Exception) -> SceneFormatError:

@@ -10,58 +10,31 @@ import pytest
 import torch
 
 from app.main import run
-from gsrain_engine.evaluation.image_metrics import psnr
 from gsrain_engine.safe_io.errors import SceneFormatError
-from gsrain_engine.scene.camera import Camera, look_at
 from gsrain_engine.scene.formats import read_scene
-from gsrain_engine.scene.gaussians import SH_C0
-from gsrain_engine.scene.scene import Scene
-from rasterized import rasterize
-
-from .written import (
+from trained_street import (
     CAR,
     FACES,
     HEIGHT,
     LENGTH,
-    SMALL,
     WIDTH,
-    drivestudio_state,
-    drivestudio_tensors,
+    assert_same_picture,
+    colors_towards,
     raw,
     street,
+    without_car,
+)
+
+from .written import (
+    SMALL,
+    drivestudio_state,
+    drivestudio_tensors,
     write_3dgs,
     write_drivestudio,
     write_gsplat,
     write_mtgs,
     write_splatfacto,
 )
-
-UP = np.array([0.0, 0, 1])
-
-
-def assert_same_picture(found: Scene, expected: Scene, times: tuple[float, ...] = (0.0,)) -> None:
-    """Assert that scenes look the same in the world, but for the sky: 50 dB at least."""
-    camera = Camera.from_fov(240, 160, 60.0, look_at(np.array([0.0, -3, 4]), np.array([12.0, 0, 1]), UP))
-    for time_s in times:
-        pictures = []
-        for scene in (found, expected):
-            layers = {f"layers/{each.name}": {"visible": each.kind != "sky"} for each in scene.layers}
-            for key, fields in layers.items():
-                scene = scene.with_member(key, **fields)
-            rgba = rasterize(scene.parts(time_s), camera).rgba
-            pictures.append(np.clip(rgba[..., :3], 0, 1))
-        assert pictures[1].std() > 0.02
-        assert psnr(*pictures) >= 50
-
-
-def colors_towards(scene: Scene, *directions: tuple[float, float, float]) -> np.ndarray:
-    """Display colors of the sky's Gaussians nearest to directions of the scene."""
-    (sky,) = (each for each in scene.layers if each.kind == "sky")
-    center = sky.gaussians.means.mean(axis=0)
-    away = sky.gaussians.means - center
-    away /= np.linalg.norm(away, axis=1, keepdims=True)
-    nearest = (away @ np.array(directions, np.float32).T).argmax(axis=0)
-    return sky.gaussians.sh[nearest, 0] * SH_C0 + 0.5
 
 
 def test_a_scene_of_drivestudio_comes_back_with_its_car_and_its_sky(tmp_path: Path) -> None:
@@ -148,12 +121,8 @@ def test_objects_of_street_gaussians_are_hidden_as_their_tracks_are_elsewhere(
     np.testing.assert_allclose(car.gaussians.means[:, :2], expected.actors[0].gaussians.means[:, :2], atol=1e-6)
     assert car.gaussians.means[:, 2].min() == pytest.approx(0, abs=1e-6)
     np.testing.assert_array_equal(car.gaussians.sh, expected.actors[0].gaussians.sh)  # the mean over time
-    assert_same_picture(scene, _static(expected))
+    assert_same_picture(scene, without_car(expected))
     np.testing.assert_allclose(colors_towards(scene, (0, 0, 1), (1, 0, 0), (0, -1, 0)), FACES[[4, 0, 3]], atol=1e-3)
-
-
-def _static(scene: Scene) -> Scene:
-    return scene.with_member(f"actors/{CAR}", visible=False)
 
 
 def test_splatfacto_returns_to_the_coordinates_of_its_capture(tmp_path: Path) -> None:
@@ -163,7 +132,7 @@ def test_splatfacto_returns_to_the_coordinates_of_its_capture(tmp_path: Path) ->
     write_splatfacto(models / "step-000029999.ckpt")
     alone = read_scene(models / "step-000029999.ckpt")
     assert alone.name == "2026-01-01" and alone.up == (0, 0, 1) and alone.up_is_assumed
-    assert_same_picture(alone, _static(street()))
+    assert_same_picture(alone, without_car(street()))
 
     turn, shift, scale = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]), np.array([0.5, -1.0, 2.0]), 0.25
     transforms = {"transform": np.column_stack([turn, shift]).tolist(), "scale": scale}
@@ -199,7 +168,7 @@ def test_gsplat_joins_the_files_of_its_gpus(tmp_path: Path) -> None:
     scene = read_scene(folder / "ckpt_29999_rank0.pt")
     assert scene.name == "garden" and scene.up_is_assumed and scene.up == (0, 0, 1)
     for each in (scene, read_scene(folder / "whole.pt")):
-        assert_same_picture(each, _static(street()))
+        assert_same_picture(each, without_car(street()))
 
 
 def test_3dgs_has_minus_y_up(tmp_path: Path) -> None:

@@ -1,71 +1,13 @@
-"""A scene with a car, and checkpoints of trainings in the layouts of their public sources: stand-ins, no originals."""
+"""Checkpoints of trainings in the layouts of their public sources: stand-ins, no originals."""
 
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 
 from gsrain_engine.scene.gaussians import Gaussians
-from gsrain_engine.scene.scene import Actor, Layer, PoseTrack, Scene
-from small_scene import patch
-from tests.scene.formats.sample_files import sample_gaussians
-
-RATE, FRAMES, PRESENT = 10.0, 6, slice(1, 5)
-LENGTH, WIDTH, HEIGHT = 4.0, 1.8, 1.5
-CAR = "RigidNodes_1"
-
-
-def street() -> Scene:
-    """Road and wall with harmonics, and a car that drives and turns in frames 1 to 4; z up, meters."""
-    road = patch((0, -6, 0), np.array([40.0, 0, 0]), np.array([0, 12.0, 0]), 20, (0.35, 0.33, 0.30))
-    rough = sample_gaussians(300)
-    rough = Gaussians(rough.means + np.float32([20, 0, 6]), *rough.arrays[1:])
-    road = Gaussians(*road.arrays[:4], np.concatenate([road.sh, np.zeros((len(road), 15, 3), np.float32)], axis=1))
-    body = sample_gaussians(200, seed=3)
-    means = np.random.default_rng(3).uniform(-0.5, 0.5, (200, 3)) * (LENGTH, WIDTH, HEIGHT) + (0, 0, HEIGHT / 2)
-    body = Gaussians(means.astype(np.float32), np.minimum(body.scales, np.float32(0.2)), *body.arrays[2:])
-    times = np.arange(FRAMES)[PRESENT] / RATE
-    half = 0.05 * np.arange(len(times))
-    turns = np.stack([np.cos(half), np.zeros(4), np.zeros(4), np.sin(half)], axis=1)
-    valid = np.array([True, True, True, False])
-    track = PoseTrack(times, np.stack([8 + 10 * times, -1 + times, 0 * times], axis=1), turns, valid)
-    layers = (Layer("background", Gaussians.concatenate([road, rough])),)
-    return Scene("street", layers, (Actor(CAR, "car", (LENGTH, WIDTH, HEIGHT), body, track),))
-
-
-def raw(gaussians: Gaussians) -> dict[str, torch.Tensor]:
-    """Parameters before activation, by gsplat's names; quaternions of any length."""
-    opacities = torch.as_tensor(gaussians.opacities).double().clamp(1e-7, 1 - 1e-7)
-    sh = torch.as_tensor(gaussians.sh)
-    return {
-        "means": torch.as_tensor(gaussians.means),
-        "scales": torch.as_tensor(gaussians.scales).log(),
-        "quats": 3 * torch.as_tensor(gaussians.quaternions),
-        "opacities": torch.logit(opacities).float(),
-        "sh0": sh[:, :1],
-        "shN": sh[:, 1:],
-    }
-
-
-def at_center(actor: Actor) -> Gaussians:
-    """Gaussians of an actor in a frame whose origin is the center of its box."""
-    down = np.float32([0, 0, actor.size_lwh[2] / 2])
-    return Gaussians(actor.gaussians.means - down, *actor.gaussians.arrays[1:])
-
-
-def centers(actor: Actor, frames: int = FRAMES) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Centers of the box and quaternions in all frames, and in which of them the actor is present."""
-    positions, turns = torch.zeros(frames, 3), torch.zeros(frames, 4)
-    turns[:, 0] = 1
-    present = torch.zeros(frames, dtype=torch.bool)
-    rows = torch.as_tensor(np.rint(actor.track.times * RATE).astype(np.int64))
-    up = np.array([0, 0, actor.size_lwh[2] / 2])  # turns are about z
-    positions[rows] = torch.as_tensor(actor.track.positions + up).float()
-    turns[rows] = torch.as_tensor(actor.track.quaternions_wxyz).float()
-    present[rows] = True
-    return positions, turns, present
-
+from gsrain_engine.scene.scene import Scene
+from trained_street import FRAMES, HEIGHT, LENGTH, WIDTH, at_center, centers, cubemap, raw, street
 
 # drivestudio
 
@@ -101,16 +43,6 @@ def drivestudio_state(scene: Scene) -> dict[str, Any]:
         "Affine": {"embedding.weight": torch.zeros(3, 4), "decoder.0.weight": torch.zeros(64, 4)},
     }
     return {"models": models, "step": 30_000}
-
-
-FACES = torch.tensor(
-    [[0.9, 0.1, 0.1], [0.1, 0.9, 0.1], [0.1, 0.1, 0.9], [0.9, 0.9, 0.1], [0.1, 0.9, 0.9], [0.9, 0.1, 0.9]]
-)
-"""Colors of the faces +x, -x, +y, -y, +z, -z of a cubemap."""
-
-
-def cubemap(size: int = 8) -> torch.Tensor:
-    return FACES[:, None, None].repeat(1, size, size, 1)
 
 
 def write_drivestudio(path: Path) -> None:
