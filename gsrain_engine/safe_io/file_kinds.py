@@ -167,7 +167,7 @@ FILE_KINDS = (
     FileSignature(_CHECKPOINT, _ZIP, holds=(b"/data.pkl",), suffixes=(".pth", ".pt", ".ckpt")),
     FileSignature("a project of SuperSplat: open it there, and export a PLY", _ZIP, holds=(b"document.json",)),
     FileSignature("a file of arrays", suffixes=(".npz", ".npy")),
-    FileSignature(_ARCHIVE, (*_ZIP, b"pk\x05\x06"), suffixes=(".sog", ".usdz")),
+    FileSignature(_ARCHIVE, (*_ZIP, b"pk\x05\x06"), suffixes=(".sog", ".usdz", ".zip")),
     FileSignature(_ARCHIVE, (b"7z\xbc\xaf\x27\x1c", b"rar!\x1a")),
     FileSignature(_ARCHIVE, (b"ustar",), at=257),
     FileSignature(_ARCHIVE, (b"\x1f\x8b",), suffixes=(".spz",)),

@@ -19,8 +19,7 @@ from . import lod_order, lod_tree
 from .built_in import DEFAULT_SCENE, BuiltInScene, built_in_names, built_in_scene
 from .camera import Camera
 from .flags import UNMARKED, SelectionFlags
-from .formats.hugsim import hugsim_files, is_hugsim_folder
-from .formats.scene_files import INNER_SCENE, is_foreign_scene_folder, read_scene, write_scene
+from .formats.scene_files import INNER_SCENE, foreign_scene_files, is_foreign_scene_folder, read_scene, write_scene
 from .formats.scene_folder import SCENE_FILE, FileCache, is_in_drawing_order, scene_folder_files
 from .gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
 from .lod_order import sort_into_lod_order
@@ -183,13 +182,16 @@ def scene_hash(name: str | None) -> str:
     if is_built_in(name):
         return _built_in_hash(name or DEFAULT_SCENE)
     path = Path(str(name))
-    folder = folder_to_read(path) or (path if is_hugsim_folder(path) else None)
-    if folder is None:
-        if not path.is_file():
-            raise SceneFormatError(path, "no such scene")
+    if (folder := folder_to_read(path)) is not None:
+        files = scene_folder_files(folder)
+    elif path.is_file():
         return file_hash(path)
+    elif is_foreign_scene_folder(path):
+        folder, files = path, foreign_scene_files(path)
+    else:
+        raise SceneFormatError(path, "no such scene")
     found = hashlib.sha256()
-    for file in hugsim_files(folder) if is_hugsim_folder(folder) else scene_folder_files(folder):
+    for file in files:
         found.update(f"{file.relative_to(folder).as_posix()}\0{file_hash(file)}\n".encode())
     return found.hexdigest()[:_HASH_DIGITS]
 

@@ -25,11 +25,11 @@ from PIL import Image
 from gsrain_engine.safe_io.errors import SceneFormatError, convert_checked
 from gsrain_engine.safe_io.text_files import json_values
 from gsrain_engine.scene.camera import DEFAULT_EXPOSURE_S
-from gsrain_engine.scene.formats import printable_name
+from gsrain_engine.scene.formats import check_room, printable_name
 from gsrain_engine.scene.formats.boxed_actor import FORWARD, UP, boxed_actor, poses_of, track_of
-from gsrain_engine.scene.formats.spz import decode_spz, encode_spz
+from gsrain_engine.scene.formats.spz import decode_spz, encode_spz, spz_size
 from gsrain_engine.scene.formats.stored_zip import read_member, write_stored_zip
-from gsrain_engine.scene.gaussians import Gaussians
+from gsrain_engine.scene.gaussians import COEFFICIENTS_OF_DEGREE, Gaussians
 from gsrain_engine.scene.geometry import quaternions_from_matrices
 from gsrain_engine.scene.recorded_drive import MICROSECONDS, logical_cameras, scene_id, sensor_height_m, timestamps_us
 from gsrain_engine.scene.scene import Actor, Layer, PoseTrack, RigCamera, Scene
@@ -212,7 +212,11 @@ class _SplatSimReader:
         if not chunks:
             raise SceneFormatError(self.path, "it has no chunks of Gaussians")
         name = scene_id_in(self.member(METADATA)) if METADATA in self.names else None
-        layers = [Layer("scene", Gaussians.concatenate([self.gaussians(each) for each in chunks]))]
+        packed = [self.spz(each) for each in chunks]
+        sizes = [spz_size(self.path, each) for each in packed]
+        most_harmonics = COEFFICIENTS_OF_DEGREE[max(degree for _, degree in sizes)]
+        check_room(self.path, sum(count for count, _ in sizes), most_harmonics)
+        layers = [Layer("scene", Gaussians.concatenate([self.decoded(each) for each in packed]))]
         if _SKYBOX in self.names:
             panorama = self.panorama()
             layers.append(dome_layer(lambda ways: sample_panorama(panorama, ways), layers))
@@ -241,9 +245,11 @@ class _SplatSimReader:
         except ValueError as error:
             raise SceneFormatError(self.path, f"{name} in it: {error}") from None
 
-    def gaussians(self, name: str) -> Gaussians:
-        found = decode_spz(self.path, read_member(self.path, self.archive, name, self.most))
-        return transform_gaussians(found, _AXES)
+    def spz(self, name: str) -> bytes:
+        return read_member(self.path, self.archive, name, self.most)
+
+    def decoded(self, packed: bytes) -> Gaussians:
+        return transform_gaussians(decode_spz(self.path, packed), _AXES)
 
     def panorama(self) -> Float32[np.ndarray, "h w 3"]:
         with Image.open(io.BytesIO(read_member(self.path, self.archive, _SKYBOX, self.most)), formats=["PNG"]) as found:
@@ -266,7 +272,7 @@ class _SplatSimReader:
             instance = bound[track.track_id]
             asset = assets[instance.asset_id]
             if asset.asset_id not in clouds:
-                clouds[asset.asset_id] = self.gaussians(asset.uri)
+                clouds[asset.asset_id] = self.decoded(self.spz(asset.uri))
             gaussians, size = clouds[asset.asset_id], np.array(asset.size, np.float64)
             ratios = np.array(track.size, np.float64) / size
             if instance.fit_mode == "uniform" or (instance.fit_mode == "stretch" and np.ptp(ratios) < 1e-3):

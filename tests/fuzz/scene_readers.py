@@ -28,6 +28,7 @@ _DAMAGE: dict[str, Damage] = {
     ".spz": inside_gzip(),
     ".glb": damaged_glb,
     ".usdz": inside_zip(lambda name: damaged_bytes),
+    ".zip": inside_zip(lambda name: damaged_bytes),
     ".sog": inside_zip(lambda name: damaged_json if name == "meta.json" else damaged_bytes),
 }
 

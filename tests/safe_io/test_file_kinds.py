@@ -42,7 +42,7 @@ def pictured(file: Path) -> Path:
 
 
 FILES = {
-    "scene.zip": (zipped, ARCHIVE),
+    "scene.zip": (lambda file: zipped(file, "readme.txt"), "it holds no scene"),
     "scene.ply": (zipped, ARCHIVE),
     "scene.spz": (lambda file: written(file, POINTER), LFS),
     "a.splat": (lambda file: written(file, b"<!DOCTYPE html><html>404</html>"), "it is a web page"),

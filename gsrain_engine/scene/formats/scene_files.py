@@ -1,14 +1,16 @@
 """Reading and writing of scenes as files or folders of any format."""
 
 import re
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from ...safe_io.errors import SceneFormatError
 from ...safe_io.file_names import visible_siblings
 from ..scene import Scene
 from ..transforms import recentered
-from ._common import single_layer, stem_of
-from .hugsim import is_hugsim_folder, read_hugsim
+from ._common import printable_name, single_layer, stem_of
+from .hugsim import hugsim_files, is_hugsim_folder, read_hugsim
 from .registry import close_match, format_of, read_scene_file, write_scene_file
 from .scene_folder import SCENE_FILE, FileCache, read_scene_folder, write_scene_folder
 from .sog import is_sog_folder, read_sog
@@ -17,6 +19,10 @@ SOG_FILE = "meta.json"
 """Description file of a SOG scene unpacked into a folder."""
 
 _MAX_LISTED = 3
+_ITERATIONS, _ITERATION = (
+    "point_cloud/iteration_*/point_cloud.ply",
+    re.compile(r"(?:^|/)point_cloud/iteration_(\d{1,9})/point_cloud\.ply$"),
+)
 INNER_SCENE = "scene"
 """Folder of the scene in the output of `gsrain street`."""
 
@@ -27,7 +33,8 @@ def read_scene(path: Path | str, known: FileCache | None = None) -> Scene:
     Records in `known` which Gaussians the files of a scene folder hold.
 
     A single file becomes one background layer named after it, with a unit of 1 m and -y upwards: the axes of COLMAP and
-    3DGS captures, and an assumed unit, as the file holds none. A `.usdz` holds layers, actors, rigs, axes and unit.
+    3DGS captures, and an assumed unit, as the file holds none. A `.usdz` holds layers, actors, rigs, axes and unit. Of
+    the output folder of a training of 3DGS, the last iteration is read.
 
     Raises `SceneFormatError` if it does not exist or can't be read, is no scene, is damaged, or is from a newer
     program; the message is one sentence.
@@ -43,8 +50,33 @@ def read_scene(path: Path | str, known: FileCache | None = None) -> Scene:
 
 
 def is_foreign_scene_folder(folder: Path) -> bool:
-    """Return whether a folder holds a scene of another program: of SOG or HUGSIM."""
-    return is_sog_folder(folder) or is_hugsim_folder(folder)
+    """Return whether a folder holds a scene of another program: of SOG or HUGSIM, or a training of 3DGS."""
+    return is_sog_folder(folder) or is_hugsim_folder(folder) or trained_file(folder) is not None
+
+
+def foreign_scene_files(folder: Path) -> list[Path]:
+    """Files of a scene of another program that are read, by name."""
+    if is_hugsim_folder(folder):
+        return hugsim_files(folder)
+    if not is_sog_folder(folder) and (trained := trained_file(folder)) is not None:
+        return [trained]
+    return sorted(file for file in folder.rglob("*") if file.suffix in (".json", ".webp") and file.is_file())
+
+
+def trained_file(folder: Path) -> Path | None:
+    """File of the last iteration in the output folder of a training of 3DGS; None without one."""
+    try:
+        names = [file.relative_to(folder).as_posix() for file in folder.glob(_ITERATIONS)]
+    except OSError:
+        return None
+    found = last_iteration(names)
+    return None if found is None else folder / found
+
+
+def last_iteration(names: Sequence[str]) -> str | None:
+    """Name of the last iteration's file among names of files; None without one."""
+    numbered = [(int(found[1]), name) for name in names if (found := _ITERATION.search(name))]
+    return max(numbered)[1] if numbered else None
 
 
 def names_scene_folder(path: Path) -> bool:
@@ -89,6 +121,8 @@ def _read(path: Path, known: FileCache | None) -> Scene:
         return recentered(single_layer(path.resolve().name, read_sog(path)))
     if is_hugsim_folder(path):
         return read_hugsim(path)
+    if not (path / INNER_SCENE / SCENE_FILE).is_file() and (trained := trained_file(path)) is not None:
+        return replace(_read(trained, known), name=printable_name(path.resolve().name))
     if (path / INNER_SCENE / SCENE_FILE).is_file():
         return read_scene_folder(path / INNER_SCENE, known)
     told = f"a scene folder holds {SCENE_FILE} and a SOG folder {SOG_FILE}; this has neither"
@@ -99,18 +133,12 @@ def _read(path: Path, known: FileCache | None) -> Scene:
 
 
 def scene_files_in(folder: Path) -> list[str]:
-    """Relative paths of up to three scenes in a folder, including the last iteration of a 3DGS training.
-
-    Empty if the folder can't be read.
-    """
+    """Names of up to three scenes in a folder; empty if it can't be read."""
     try:
         names = sorted(each.name for each in folder.iterdir() if each.is_file() and format_of(each) is not None)
-        trained = list(folder.glob("point_cloud/iteration_*/point_cloud.ply"))
     except OSError:
         return []
-    trained.sort(key=lambda file: (len(file.parent.name), file.parent.name))
     found = [name for name in names if name != SOG_FILE]
-    found += [file.relative_to(folder).as_posix() for file in trained[-1:]]
     return found if len(found) <= _MAX_LISTED else [*found[:_MAX_LISTED], f"and {len(found) - _MAX_LISTED} more"]
 
 

@@ -256,6 +256,16 @@ def gltf(gaussians: Gaussians, uri: str | None = None) -> bytes:
 
 _SMALL = sample_gaussians(7, 1)
 
+
+def archive(files: dict[str, bytes]) -> bytes:
+    """A zip file of files."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archived:
+        for name, content in files.items():
+            archived.writestr(name, content)
+    return buffer.getvalue()
+
+
 SMALL_FILES: dict[str, tuple[str, Callable[[], bytes]]] = {
     "ply": ("a.ply", lambda: written(_SMALL, ".ply")),
     "ply-sh3": ("a.ply", lambda: written(sample_gaussians(3, 3), ".ply")),
@@ -271,6 +281,7 @@ SMALL_FILES: dict[str, tuple[str, Callable[[], bytes]]] = {
     "sog-1": ("a.sog", lambda: zipped(sog_version_1(sog_scene()[0]), sog_scene()[1])),
     "sog-2": ("a.sog", lambda: zipped(*sog_scene()[:2])),
     "gltf": ("a.gltf", lambda: gltf(_SMALL)),
+    "zip": ("a.zip", lambda: archive({"b/a.ply": written(_SMALL, ".ply"), "b/about.txt": b"a plant"})),
 }
 """Name of a file, and its content; formats below that GSRAIN writes need no row."""
 for _suffix in writable_suffixes():

@@ -17,6 +17,7 @@ from gsrain_engine.scene.formats.compressed_ply import chunk_order
 from gsrain_engine.scene.formats.lod_file import read_lod_tree, write_lod_tree
 from gsrain_engine.scene.formats.ply import write_ply
 from gsrain_engine.scene.formats.registry import read_gaussians, write_gaussians
+from gsrain_engine.scene.formats.scene_files import read_scene
 from gsrain_engine.scene.formats.sog_writer import sog_order
 from gsrain_engine.scene.formats.spz import encode_spz
 from gsrain_engine.scene.gaussians import SH_C0, Gaussians
@@ -247,7 +248,7 @@ def test_a_step_that_shows_is_logged(suffix: str, tmp_path: Path, caplog: pytest
 def check_opened(path: Path) -> None:
     """Assert that a file is opened in drawing order, as the window does."""
     (layer,) = load_sorted_scene(str(path)).layers
-    read = read_gaussians(path)
+    read = read_scene(path).layers[0].gaussians
     for found, array in zip(layer.gaussians.arrays, read.take(lod_order(read)).arrays, strict=True):
         np.testing.assert_array_equal(found, array)
 

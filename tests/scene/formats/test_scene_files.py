@@ -14,9 +14,10 @@ from gsrain_engine.safe_io.errors import SceneFormatError
 from gsrain_engine.scene.formats.registry import read_gaussians
 from gsrain_engine.scene.formats.scene_files import read_scene, write_scene
 from gsrain_engine.scene.gaussians import Gaussians
+from gsrain_engine.scene.open import scene_hash
 from gsrain_engine.scene.scene import Layer, Scene
 
-from .sample_files import assert_equal, sample_gaussians
+from .sample_files import assert_equal, sample_gaussians, written
 
 PLAYBOT = "scenes/playbot/playbot_lod3_31k_sh2"
 WRITTEN = [".ply", ".splat", ".spz"]
@@ -157,3 +158,18 @@ def test_a_splat_of_nothing_or_over_a_folder_is_refused(tmp_path: Path) -> None:
     (tmp_path / "folder.ply" / "a").write_bytes(b"")
     with pytest.raises(SceneFormatError, match=r"no scene\.json"):
         write_scene(single(sample_gaussians(3)), tmp_path / "folder.ply")
+
+
+def test_the_last_iteration_of_a_training_is_read_from_its_folder(tmp_path: Path) -> None:
+    expected = sample_gaussians(30, seed=2)
+    for number, gaussians in ((7000, sample_gaussians(20)), (30000, expected)):
+        place = tmp_path / f"garden/point_cloud/iteration_{number}"
+        place.mkdir(parents=True)
+        (place / "point_cloud.ply").write_bytes(written(gaussians, ".ply"))
+    (tmp_path / "garden/cfg_args").write_text("Namespace(sh_degree=3)")
+    scene = read_scene(tmp_path / "garden")
+    assert scene.name == "garden" and scene.up_is_assumed
+    assert_equal(scene.layers[0].gaussians, expected)
+    before = scene_hash(str(tmp_path / "garden"))
+    (tmp_path / "garden/point_cloud/iteration_7000/point_cloud.ply").unlink()
+    assert scene_hash(str(tmp_path / "garden")) == before
