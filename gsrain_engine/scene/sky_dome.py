@@ -69,7 +69,8 @@ def dome_layer(
     directions = dome_directions(_PICTURE_GAUSSIANS)
     radius = dome_radius(around, center, is_metric=True)
     shown = np.clip(colors(directions), 0, 1)
-    return Layer("sky", dome_gaussians(directions, shown, center, radius), "sky")
+    name = "sky dome" if any(each.name == "sky" for each in surroundings) else "sky"
+    return Layer(name, dome_gaussians(directions, shown, center, radius), "sky")
 
 
 def checked_cubemap(values: Any) -> Float32[np.ndarray, "6 s s 3"]:

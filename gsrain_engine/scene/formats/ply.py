@@ -12,18 +12,20 @@ from pathlib import Path
 from typing import Any, NamedTuple, no_type_check
 
 import numpy as np
-from jaxtyping import Float, Float32, Float64, Int64
+from jaxtyping import Bool, Float, Float32, Float64, Int64
 
 from ...kernels import kernel
 from ...safe_io.errors import SceneFormatError
 from ...safe_io.limits import open_file
 from ..gaussians import COEFFICIENTS_OF_DEGREE, Gaussians, sh_from_color
 from ..scene import Actor, Layer, Scene
+from ..sky_dome import dome_layer, sample_cubemap
 from ..transforms import FILE_UP, far_place, flatten_scene, moved_gaussians, origin_in_file
-from ._common import check_room, checked_gaussians, printable_name, stem_of
+from ._common import check_room, checked_gaussians, printable_name, stem_of, usable_rows
 from .boxed_actor import hidden_actor
 from .compressed_ply import is_compressed, read_compressed
 from .ply_header import ANTIALIASED, PlyElement, element_rows, read_ply_header
+from .sky_sidecar import TO_CUBEMAP, read_sky_sidecar
 
 logger = logging.getLogger("gsrain")
 _MEANS = ("x", "y", "z")
@@ -37,6 +39,9 @@ _NORMALS = ("nx", "ny", "nz")
 
 _SMOOTHING = "filter_3D"
 """Standard deviation of the 3D filter of Mip-Splatting (Yu et al. 2024), GOF and RaDe-GS, beside unfiltered scales."""
+
+_MASKS = {"road_mask": "road", "sky_mask": "sky"}
+"""Properties of Instant NuRec that tell the Gaussians of a layer by numbers above a half, and its name."""
 
 _PREFIX = re.compile(r"scal(ar)?_")  # before each name, in files that CloudCompare has written
 _MOVING = re.compile(r"trbf_\w+|(scale|scaling|cov)_t|rot_r_\d|motion_\d+|omega_\d+|velocity_\d+")
@@ -104,12 +109,16 @@ def read_ply_scene(path: Path) -> Scene:
                 if _is_object(element):
                     actors.append(hidden_actor(part, read.in_file))
                 else:
-                    layers.append(Layer(part, read.gaussians, "sky" if part == "sky" else "background", read.to_scene))
+                    layers += read.layers(part)
     if actors:
         logger.warning("%s: %d objects have no tracks in a PLY: they are hidden actors", path, len(actors))
-    up = vertices[0].up or ((0.0, 0.0, 1.0) if actors else None)  # recorded drives have z up
+    cubemap = read_sky_sidecar(path)
+    if cubemap is not None:
+        layers.append(dome_layer(lambda ways: sample_cubemap(cubemap, ways @ TO_CUBEMAP.T), layers))
+    is_drive = bool(actors) or cubemap is not None
+    up = vertices[0].up or ((0.0, 0.0, 1.0) if is_drive else None)  # recorded drives have z up
     return Scene(
-        name, tuple(layers), tuple(actors), up=up or FILE_UP, up_is_assumed=up is None, unit_is_assumed=not actors
+        name, tuple(layers), tuple(actors), up=up or FILE_UP, up_is_assumed=up is None, unit_is_assumed=not is_drive
     )
 
 
@@ -166,6 +175,21 @@ class _Vertices(NamedTuple):
 
     gaussians: Gaussians
     offset: Float64[np.ndarray, "3"]
+    marks: dict[str, Bool[np.ndarray, " n"]]
+    """Gaussians of layers of their own, by their names."""
+
+    def layers(self, name: str) -> list[Layer]:
+        """Layers of the Gaussians, those without a mark by the name of all."""
+        rest = np.ones(len(self.gaussians), np.bool_)
+        found: list[Layer] = []
+        for part, marked in self.marks.items():
+            own, rest = rest & marked, rest & ~marked
+            found += self.layer(part, own) if own.any() else []
+        return [*self.layer(name, rest), *found]
+
+    def layer(self, name: str, rows: Bool[np.ndarray, " n"]) -> list[Layer]:
+        own = self.gaussians if rows.all() else self.gaussians.take(np.flatnonzero(rows))
+        return [Layer(name, own, "sky" if name == "sky" else "background", self.to_scene)]
 
     @property
     def to_scene(self) -> Float64[np.ndarray, "4 4"]:
@@ -211,6 +235,7 @@ def _read_vertices(
     opacities = np.empty(n, np.float32)
     sh = np.empty((n, layout.coefficients, 3), np.float32)
     smoothing = np.zeros(n if layout.smoothing else 0, np.float32)
+    marks = {part: np.zeros(n, np.bool_) for part in layout.masks}
     if offset is not None:
         file.seek(offset + first * dtype.itemsize)
         blocks = _binary_blocks(path, file, dtype, layout, n)
@@ -232,6 +257,8 @@ def _read_vertices(
             _copy_rows(numbers, indices, (means, scales, quaternions, opacities, sh), start)
             if layout.smoothing:
                 smoothing[start : start + len(block)] = block[:, columns[layout.smoothing]]
+            for part, name in layout.masks.items():
+                marks[part][start : start + len(block)] = block[:, columns[name]] > 0.5
             start += len(block)
         if not _are_activated(path, scales, opacities):
             np.exp(scales, out=scales)
@@ -242,8 +269,11 @@ def _read_vertices(
             sh[:, 0] = sh_from_color(sh[:, 0] / np.float32(layout.color_range))[:, 0]
         if layout.smoothing:
             apply_3d_filter(scales, opacities, smoothing)
+    if marks and not (fit := usable_rows(path, means, scales, quaternions, opacities, sh)).all():
+        means, scales, quaternions, opacities, sh = (each[fit] for each in (means, scales, quaternions, opacities, sh))
+        marks = {part: marked[fit] for part, marked in marks.items()}
     found = checked_gaussians(path, means, scales, quaternions, opacities, sh)
-    return _Vertices(replace(found, antialiased=vertex.is_antialiased or bool(layout.smoothing)), place)
+    return _Vertices(replace(found, antialiased=vertex.is_antialiased or bool(layout.smoothing)), place, marks)
 
 
 def activate_opacities(logits: Float32[np.ndarray, " n"]) -> None:
@@ -288,6 +318,8 @@ class _PlyLayout(NamedTuple):
     color_range: float
     """Value of full red, green and blue, where these stand for the harmonics of degree 0; else 0."""
     smoothing: str | None
+    masks: dict[str, str]
+    """Properties by the names of the layers that they mark."""
 
 
 def _layout_of(path: Path, dtype: "np.dtype[Any]", *, has_faces: bool) -> _PlyLayout:
@@ -323,7 +355,9 @@ def _layout_of(path: Path, dtype: "np.dtype[Any]", *, has_faces: bool) -> _PlyLa
     is_flat = _SCALES[2] not in names
     scales = (*_SCALES[:2], _SCALES[1] if is_flat else _SCALES[2])
     ours = [*_MEANS, *scales, *_QUATERNIONS, "opacity", *base, *harmonics]
-    return _PlyLayout([names[name] for name in ours], expected[len(rest)], is_flat, color_range, names.get(_SMOOTHING))
+    masks = {part: names[name] for name, part in _MASKS.items() if name in names}
+    columns = [names[name] for name in ours]
+    return _PlyLayout(columns, expected[len(rest)], is_flat, color_range, names.get(_SMOOTHING), masks)
 
 
 _Block = tuple[Float[np.ndarray, "r p"], dict[str, int]]
@@ -337,7 +371,8 @@ def _binary_blocks(
     piece = np.empty(min(count, max(1, _CHUNK_BYTES // dtype.itemsize)), dtype)
     places = {name: number for number, name in enumerate(dtype.names or ())}
     is_plain = all(dtype[name] == np.float32 for name in places)
-    used = list(dict.fromkeys((*layout.names, *((layout.smoothing,) if layout.smoothing else ()))))
+    others = (*((layout.smoothing,) if layout.smoothing else ()), *layout.masks.values())
+    used = list(dict.fromkeys((*layout.names, *others)))
     for start in range(0, count, len(piece) or 1):
         rows = piece[: count - start]
         if file.readinto(rows.view(np.uint8).data) != rows.nbytes:

@@ -267,3 +267,61 @@ def test_the_parts_of_a_street_are_layers_and_hidden_actors(tmp_path: Path, capl
 def test_moments_of_4d_files_are_not_drawn_as_one(data: bytes, what: str, tmp_path: Path) -> None:
     with pytest.raises(SceneFormatError, match=rf"a\.ply: .*{what}"):
         read_bytes(tmp_path, data)
+
+
+# Instant NuRec
+
+
+def write_sky(path: Path, **changed: Any) -> None:
+    """A sidecar as it is documented: faces right, left, top (-y), bottom, front, back, in colors of their own."""
+    faces = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [0, 1, 1], [1, 0, 1]], np.float16)
+    cubemap = np.tile(faces[:, None, None], (1, 4, 4, 1))
+    cubemap[4, 0] = 0.25  # the upper row of the picture in front
+    arrays = {"format_version": np.int32(1), "sky_cubemap": cubemap, "face_order": np.array(["right", "left"])}
+    np.savez(path, **{**arrays, **changed})
+
+
+def test_masks_of_instant_nurec_are_layers_and_its_sky_a_dome(tmp_path: Path) -> None:
+    n = len(VALUES)
+    road, sky = np.arange(n) % 3 == 0, np.arange(n) % 3 == 1
+    data = with_columns(road_mask=road.astype(np.float32), sky_mask=sky.astype(np.float32))
+    write_sky(tmp_path / "a.sky.npz")
+    scene = read_bytes(tmp_path, data)
+    kinds = [(each.name, each.kind, len(each.gaussians)) for each in scene.layers]
+    assert kinds[:3] == [("a", "background", 100), ("road", "background", 100), ("sky", "sky", 100)]
+    assert kinds[3][:2] == ("sky dome", "sky") and scene.up == (0, 0, 1) and not scene.unit_is_assumed
+    np.testing.assert_array_equal(scene.layers[1].gaussians.means, VALUES[road][:, :3])
+    dome = scene.layers[3].gaussians
+    away = dome.means - dome.means.mean(axis=0)
+    towards = np.array([[1, 0, 0], [-1, 0, 0], [0, -1, 0], [0, 1, 0], [0, 0, 1], [0, 0, -1], [0, -0.9, 1]], np.float32)
+    nearest = (away @ towards.T).argmax(axis=0)
+    expected = [[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [0, 1, 1], [1, 0, 1], [0.25, 0.25, 0.25]]
+    np.testing.assert_allclose(dome.sh[nearest, 0] * SH_C0 + 0.5, expected, atol=2e-3)
+
+
+def test_marks_stay_with_their_gaussians_where_others_are_unusable(tmp_path: Path) -> None:
+    road = (np.arange(len(VALUES)) >= 150).astype(np.float32)
+    opacity = VALUES[:, column("opacity")].copy()
+    opacity[:7] = np.nan
+    scene = read_bytes(tmp_path, with_columns(opacity=opacity, road_mask=road))
+    assert [len(each.gaussians) for each in scene.layers] == [143, 150]
+    np.testing.assert_array_equal(scene.layers[1].gaussians.means, VALUES[150:, :3])
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda path: path.write_bytes(b"no zip"),
+        lambda path: path.write_bytes(path.read_bytes()[:-40]),
+        lambda path: np.savez(path, other=np.zeros(3)),
+        lambda path: write_sky(path, sky_cubemap=np.zeros((5, 4, 4, 3), np.float16)),
+        lambda path: write_sky(path, sky_cubemap=np.full((6, 4, 4, 3), np.nan, np.float16)),
+        lambda path: write_sky(path, sky_cubemap=np.array(["x"])),
+    ],
+)
+def test_a_damaged_sky_is_named(damage: Any, tmp_path: Path) -> None:
+    write_sky(tmp_path / "a.sky.npz")
+    damage(tmp_path / "a.sky.npz")
+    with pytest.raises(SceneFormatError, match="no sky of Instant NuRec") as caught:
+        read_bytes(tmp_path, written(sample_gaussians(), ".ply"))
+    assert caught.value.path == tmp_path / "a.sky.npz"
