@@ -2,10 +2,12 @@
 
 import shlex
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib import import_module
+from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from importlib.util import find_spec
 from pathlib import Path
+from types import ModuleType
 from typing import Any, NamedTuple
 
 
@@ -20,7 +22,7 @@ class OptionalPackage(NamedTuple):
 
 OPTIONAL_PACKAGES: Mapping[str, OptionalPackage] = {
     "torch": OptionalPackage(
-        "torch", "jobs", "gsrain reconstruct, and --photometric-steps and --refine of gsrain recolor"
+        "torch", "jobs", "gsrain reconstruct, --photometric-steps and --refine of gsrain recolor, scenes in checkpoints"
     ),
     "diffusers": OptionalPackage("diffusers", "diffusion", "gsrain transfer --method cyclegan-turbo"),
     "transformers": OptionalPackage("transformers", "diffusion", "the text encoder of cyclegan-turbo"),
@@ -75,7 +77,35 @@ def import_package(module: str, feature: str, extra: str = "") -> Any:
     """Import a module of an optional package, or one below it; `require_package` has arguments and error."""
     package = next(each for each in OPTIONAL_PACKAGES if f"{module}.".startswith(f"{each}."))
     require_package(package, feature, extra)
-    return import_module(module)
+    if package != "torch" or package in sys.modules:
+        return import_module(module)
+    finder = _TorchFinder()
+    sys.meta_path.insert(0, finder)
+    try:
+        return import_module(module)
+    finally:
+        sys.meta_path.remove(finder)
+
+
+class _TorchFinder:
+    """Finds torch for a loader that gives the module its name `Tensor` before anything else.
+
+    SciPy asks whether arrays are a `torch.Tensor` as soon as torch is among the modules, in any thread, and fails while
+    another one is still importing it, unless the name is there (array-api-compat 1.13).
+    """
+
+    def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
+        spec = PathFinder.find_spec(name, path, target) if name == "torch" else None
+        if spec is not None and isinstance(spec.loader, SourceFileLoader):
+            spec.loader = _TorchLoader(spec.loader.name, spec.loader.path)
+        return spec
+
+
+class _TorchLoader(SourceFileLoader):
+    def create_module(self, spec: ModuleSpec) -> ModuleType:
+        module = ModuleType(spec.name)
+        module.Tensor = type("Tensor", (), {})  # pyright: ignore[reportAttributeAccessIssue]
+        return module
 
 
 def missing_package(module: str, feature: str, extra: str = "") -> str:

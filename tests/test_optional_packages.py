@@ -1,6 +1,7 @@
 """Features whose package is missing: one sentence, with the line that installs it, and nothing is lost."""
 
 import re
+import subprocess
 import sys
 import tomllib
 
@@ -74,3 +75,34 @@ def test_doctor_says_which_protocol_lacks_a_package(without, capsys):
     printed = capsys.readouterr().out
     assert re.search(r"^absent  protocol carla-canvas: .* needs carla-canvas, which is not installed: ", printed, re.M)
     assert re.search(r"^ok      protocol alpasim: gsrain_extras\.alpasim\.protocol:PROTOCOL of gsrain ", printed, re.M)
+
+
+WHILE_TORCH_IS_IMPORTED = """
+import sys, threading
+import numpy as np
+from scipy.spatial.transform import Rotation
+from gsrain_engine.optional_packages import import_package
+
+found = []
+importing = threading.Thread(target=lambda: found.append(import_package("torch", "a test")))
+importing.start()
+while "torch" not in sys.modules:
+    pass
+was_importing = importing.is_alive()
+Rotation.from_euler("z", np.ones((3, 1))).as_matrix()  # which asks for its array's kind once
+importing.join()
+print(was_importing, found[0].zeros(2).sum().item(), found[0].Tensor is type(found[0].zeros(2)))
+"""
+
+
+def test_scipy_works_in_one_thread_while_another_imports_torch():
+    """As the window draws while a checkpoint is opened."""
+    ended = subprocess.run([sys.executable, "-c", WHILE_TORCH_IS_IMPORTED], capture_output=True, text=True, check=False)
+    assert ended.stdout == "True 0.0 True\n", ended.stderr
+
+
+def test_a_checkpoint_names_torch_where_that_is_missing(without, tmp_path, capsys):
+    (tmp_path / "a.pth").write_bytes(b"PK")
+    without("torch")
+    assert run(["info", str(tmp_path / "a.pth")]) == BAD_INPUT
+    assert "a checkpoint needs torch, which is not installed: " in capsys.readouterr().err

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float32
 
+from ...optional_packages import MissingPackageError, import_package
 from ...safe_io.errors import SceneFormatError
 from ...safe_io.limits import check_file, check_zip_expansion, open_file
 from ...safe_io.text_files import printable_line
@@ -53,8 +54,10 @@ def load_tensors(path: Path) -> Any:
 
 def tensors_in(path: Path, stream: BufferedReader | BytesIO) -> Any:
     """Contents of a checkpoint that is part of the file at `path`; see `load_tensors`."""
-    import torch  # slow to import
-
+    try:
+        torch = import_package("torch", "a checkpoint")  # slow to import
+    except MissingPackageError as error:
+        raise SceneFormatError(path, str(error)) from None
     try:
         check_zip_expansion(stream, path)
         return torch.load(stream, map_location="cpu", weights_only=True)
