@@ -1,0 +1,1 @@
+"""Skies for scenes: computed ones, and panoramas."""
