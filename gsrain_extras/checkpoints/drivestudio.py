@@ -88,13 +88,14 @@ def _models(state: Any) -> Mapping[str, Any]:
     return models if isinstance(models, Mapping) else {}
 
 
-def _trained(tensors: Mapping[str, Any], rows: Any = slice(None)) -> SplatTensors:
+def _trained(tensors: Mapping[str, Any]) -> SplatTensors:
     others = tensors.get("_features_rest")
+    has_others = others is not None and others.numel() > 0
     names = ("_means", "_scales", "_quats", "_opacities", "_features_dc")
-    means, scales, quaternions, logits, constant = (tensors[name][rows] for name in names)
-    if others is None or others.numel() == 0:
-        return SplatTensors(means, scales, quaternions, logits, constant, is_squashed=True)
-    return SplatTensors(means, scales, quaternions, logits, constant, others[rows])
+    means, scales, quaternions, logits, constant = (tensors[name] for name in names)
+    return SplatTensors(
+        means, scales, quaternions, logits, constant, others if has_others else None, is_squashed=not has_others
+    )
 
 
 def _actors(path: Path, name: str, tensors: Mapping[str, Any], rate: float) -> list[Actor]:
