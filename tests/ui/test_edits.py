@@ -110,6 +110,14 @@ def test_a_face_of_the_crop_box_is_dragged_and_applied(driver):
     assert editor.document.scene.member(WALL).marks.deleted is None
 
 
+def test_the_picture_beside_the_bar_of_a_tool_can_be_dragged(driver):
+    use(driver, "Crop")
+    driver.frames(3)
+    heading = driver.editor.viewport.navigation.heading
+    driver.stroke(driver.at(0.97, 0.05), driver.at(0.87, 0.05))
+    assert driver.editor.viewport.navigation.heading != heading
+
+
 def test_floaters_that_are_found_are_marked_counted_and_deleted(driver):
     editor = driver.editor
     wall = editor.document.scene.member(WALL)

@@ -58,6 +58,7 @@ def plan_overlay(document: Document, viewport: ViewportState, canvas: Canvas) ->
         return False
     found, bar = mark_lines(document.scene, canvas.shot, marks), scale_bar(canvas.shot.camera)
     left, bottom = canvas.width - bar.length_px - 2 * _MARGIN, 2 * _MARGIN + 1.5 * imgui.get_font_size()
+    bottom += 1.7 * imgui.get_frame_height() if viewport.options.tool else 0.0  # below the bar of a tool
     if "scale" in marks:
         found.append(bar_line(bar, left, bottom))
     for mark, group in groupby(found, key=lambda each: each.mark):

@@ -144,6 +144,7 @@ def _navigate_by_keys(viewport: ViewportState) -> None:
 # Bars: tools, settings of the active tool, and view options
 
 _GAP = 3.0
+_PADDING = 8.0
 
 
 def tool_bar(viewport: ViewportState, corner: ImVec2, height: float) -> float:
@@ -177,21 +178,27 @@ def _tool_button(icon: str, name: str, is_on: bool, side: float) -> bool:
 
 
 def tool_options(tool: Tool | None, corner: ImVec2, left: float, width: float) -> float:
-    """Draw the bar of the active tool over the viewport, starting at `left`.
+    """Draw the bar of the active tool over the viewport, starting at `left`, as wide as its content.
 
-    Returns the distance of its end, at least that of a bar of one row, from the upper edge.
+    Its rows break at the viewport's edge; what is right of it can be seen and dragged. Returns the distance of its end,
+    at least that of a bar of one row, from the upper edge.
     """
     one_row = 8 + 1.7 * imgui.get_frame_height()
     if tool is None:
         return one_row
     imgui.set_cursor_screen_pos(ImVec2(corner.x + left, corner.y + 8))
-    imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(8, 5))
-    with card("tool options", max(width - left - 8, 50), imgui.Col_.window_bg, 0.82):
+    imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(_PADDING, 5))
+    room, widths, key = max(width - left - 8, 50), imgui.get_state_storage(), imgui.get_id(f"width of {tool.name}")
+    imgui.set_next_window_content_size(ImVec2(room - 2 * _PADDING, 0))  # where rows break
+    with card("tool options", min(widths.get_float(key, room), room), imgui.Col_.window_bg, 0.82):
+        imgui.begin_group()
         imgui.align_text_to_frame_padding()
         imgui.text(tool.name)
         imgui.set_item_tooltip(tool.help)
         imgui.same_line(0, 12)
         tool.options()
+        imgui.end_group()
+        widths.set_float(key, imgui.get_item_rect_size().x + 2 * _PADDING)
     imgui.pop_style_var()
     return max(one_row, 8 + imgui.get_item_rect_size().y + _GAP)
 

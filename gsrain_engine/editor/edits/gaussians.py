@@ -109,17 +109,28 @@ class CropBox:
 
 
 _THINNEST_M = 0.01
+_RIM = 0.2  # of the core's radius: what ends within it belongs to the core as a leaf to its plant
 
 
 def box_around(scene: Scene) -> CropBox:
-    """Box around the core of the visible background layers, without sky; 10 m at the origin for an empty scene."""
+    """Box around the core of the visible background layers and what ends near it, without sky; 10 m if it is empty.
+
+    The core alone leaves out some hundredths of a thing on each side.
+    """
     layers = [each for each in scene.layers if each.visible and each.kind == "background" and len(each.gaussians)]
     parts = [part for each in layers if (part := scene.part(each)) is not None]
     if not parts:
         return CropBox((0.0, 0.0, 0.0), (10.0, 10.0, 10.0))
     core = core_bounds(parts)
-    x, y, z = core.middle.tolist()
-    a, b, c = np.maximum(core.high - core.low, _THINNEST_M).tolist()
+    low, high = core.low, core.high
+    rim_m = _RIM * core.radius_m
+    for part in parts:
+        means = part.remaining.means @ part.to_world[:3, :3].T + part.to_world[:3, 3]
+        near = means[np.all((means > core.low - rim_m) & (means < core.high + rim_m), axis=1)]
+        low = np.minimum(low, near.min(axis=0, initial=np.inf))
+        high = np.maximum(high, near.max(axis=0, initial=-np.inf))
+    x, y, z = ((low + high) / 2).tolist()
+    a, b, c = np.maximum(high - low, _THINNEST_M).tolist()
     return CropBox((x, y, z), (a, b, c))
 
 

@@ -22,7 +22,8 @@ from gsrain_engine.editor.edits.gaussians import (
 from gsrain_engine.editor.edits.layers import separate
 from gsrain_engine.editor.edits.transform import Pose, layer_pose, move_selected, pivot, preview_move, set_layer_pose
 from gsrain_engine.scene.flags import BitMask
-from gsrain_engine.scene.scene import Scene
+from gsrain_engine.scene.gaussians import Gaussians
+from gsrain_engine.scene.scene import Layer, Scene
 from gsrain_engine.scene.transforms import transform_gaussians
 
 from .edited_scene import assert_same, edited_scene, flattened, turned, with_selection, without
@@ -105,6 +106,21 @@ def test_a_face_follows_the_line_of_sight_and_the_opposite_one_stays(axis, upper
     assert pulled_to(-100).size_m[axis] == pytest.approx(0.01)
     assert box.pulled(axis, upper, eye, outward) is box  # the axis points at the eye
     assert box_around(Scene("empty")) == CropBox((0.0, 0.0, 0.0), (10.0, 10.0, 10.0))
+
+
+def test_cropping_to_the_box_around_a_thing_removes_nothing_of_it_but_what_is_far():
+    f, rng = np.float32, np.random.default_rng(4)
+    inside = rng.normal(size=(5000, 3))
+    inside *= rng.random((5000, 1)) ** (1 / 3) / np.linalg.norm(inside, axis=1, keepdims=True)  # a ball of 1 m
+    means = np.concatenate([inside, [[6.0, 0, 0], [0, -5, 2]]]).astype(f)
+    n = len(means)
+    gaussians = Gaussians(
+        means, np.full((n, 3), 0.02, f), np.tile(np.array([1, 0, 0, 0], f), (n, 1)), np.full(n, 0.9, f),
+        np.zeros((n, 1, 3), f),
+    )  # fmt: skip
+    scene = Scene("ball", (Layer("ball", gaussians),))
+    cropped = crop(scene, box_around(scene)).layers[0].marks.deleted
+    assert cropped is not None and cropped.indices.tolist() == [n - 2, n - 1]
 
 
 DELTAS = [
