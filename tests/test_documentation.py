@@ -47,6 +47,15 @@ def test_links_lead_somewhere(page):
             assert anchor in anchors_of(place.relative_to(REPOSITORY)), f"{page}: {link}"
 
 
+@pytest.mark.parametrize("page", PAGES, ids=str)
+def test_rows_belong_to_a_table(page):
+    lines, is_code = text_of(page).splitlines(), False
+    for number, (before, line, after) in enumerate(zip(["", *lines], lines, [*lines[1:], ""], strict=False), start=1):
+        is_code ^= line.startswith("```")
+        if line.startswith("|") and not before.startswith("|") and not is_code:
+            assert re.fullmatch(r"[|: -]*-[|: -]*", after), f"{page}:{number}: a table without a head"
+
+
 def _in_nav(entries):
     for entry in entries:
         for each in [entry] if isinstance(entry, str) else entry.values():

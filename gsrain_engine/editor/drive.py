@@ -92,7 +92,10 @@ class RolloutPlayer:
         def take(found: list[LoadedRollout], _: bool) -> str | None:
             is_same = self._document.state.origin == origin
             self._open(found, plays=is_same)
-            return None if is_same else "Driven in the scene of before, which is not open any more"
+            if not is_same:
+                return "Driven in the scene of before, which is not open any more"
+            one, *more = (each.outcome for each in found)
+            return one if not more else "; ".join(f"{each.intensity_mm_h:g} mm/h: {each.outcome}" for each in found)
 
         self._jobs.start(job, take)
 
@@ -110,7 +113,7 @@ class RolloutPlayer:
         if plays:
             self.play(found[-1])
         for each in found:
-            logger.info("Opened a roll-out: %s: %s after %.2f s", each.title, each.rollout.end, each.duration_s)
+            logger.info("Opened a roll-out: %s: %s", each.title, each.outcome)
 
     def save_as(self, path: Path) -> None:
         """Write the playing roll-out in the background; replacing an existing file needs confirmation."""
@@ -174,6 +177,11 @@ class RolloutPlayer:
 
     # Playback
 
+    @property
+    def is_placing(self) -> bool:
+        """True while the road of a roll-out that is to play is found in the scene."""
+        return self._placing is not None
+
     def play(self, opened: LoadedRollout) -> None:
         """Play a roll-out from its start in place of the scene's own traffic; the document stays unchanged.
 
@@ -217,6 +225,13 @@ class RolloutPlayer:
         self._viewport.options.follow_path = False
         self._viewport.following.follow("")
         self._viewport.chase.begin(mode)
+
+    def look_from(self, camera: RigCamera) -> None:
+        """Look from the present place of a camera of the rig."""
+        pose = self.rig_scene(self._document.scene).ego_to_world(self._playback.clock.time_s)
+        if pose is not None:
+            self._viewport.chase.begin("free")
+            self._viewport.look_from(camera.camera(pose).pinhole)
 
     def seek(self, time_s: float) -> None:
         """Seek to a time of the playing roll-out, in seconds since its scenario began."""

@@ -47,6 +47,16 @@ class OutputEstimate(NamedTuple):
     """True if frames of a recording were timed, with reading the scene, encoding and writing."""
 
 
+class _TimedJob(NamedTuple):
+    """A job that times the frames of an opened document."""
+
+    job: Job[Any]
+    megapixels: float
+    """Of one frame."""
+    opened: tuple[str | None, str]
+    """Opened file or name, and origin of the document: another one has other Gaussians."""
+
+
 class RenderQueue:
     """Settings of the next recording, which the preferences hold, and its start. Main thread only."""
 
@@ -66,7 +76,7 @@ class RenderQueue:
         self._playback.timeline.fps = self._settings.fps
         self.follows_range = preferences.value.records_range
         """True if the first and the last moment are those of the timeline's range."""
-        self._timed: list[tuple[Job[Any], float]] = []
+        self._timed: list[_TimedJob] = []
         self.preview: UInt8[np.ndarray, "h w c"] | None = None
         """Last previewed frame, as it would be written."""
         self.preview_texture: Texture | None = None
@@ -166,7 +176,7 @@ class RenderQueue:
             self._status.report(error, "It can't be recorded")
             return
         job = timing_job(saved_scene(self._viewport), recording, self._files.known)
-        self._timed.append((job, megapixels))
+        self._timed.append(_TimedJob(job, megapixels, self._opened))
 
         def ignore(_result: None, _is_last: bool) -> None:
             """The job's metric is all that is used."""
@@ -178,12 +188,16 @@ class RenderQueue:
         return self._jobs.is_running("timing")
 
     @property
+    def _opened(self) -> tuple[str | None, str]:
+        return self._files.source, self._document.state.origin
+
+    @property
     def _timed_s_per_megapixel(self) -> float | None:
-        """Time of a drawn megapixel in the newest job that has timed frames; None without one."""
-        for job, megapixels in reversed(self._timed):
-            times_s = job.curves.curve(FRAME_TIME)[1]
-            if len(times_s):
-                return float(times_s[-1]) / megapixels
+        """Time of a drawn megapixel in the newest job that has timed frames of this document; None without one."""
+        for each in reversed(self._timed):
+            times_s = each.job.curves.curve(FRAME_TIME)[1]
+            if len(times_s) and each.opened == self._opened:
+                return float(times_s[-1]) / each.megapixels
         return None
 
     def _megapixels(self, settings: ExportSettings, sequences: dict[str, FrameSequence]) -> float:
@@ -298,7 +312,7 @@ class RenderQueue:
 
             started = job(scene, recording, files.known)
             if job is export_job:
-                self._timed.append((started, megapixels))
+                self._timed.append(_TimedJob(started, megapixels, self._opened))
             self._jobs.start(started, log_recorded)
 
         self._status.ask_before_replacing(export_outputs(recording, names), start)

@@ -58,10 +58,10 @@ class Simulation:
         """Prepare the simulation. `renderer` is required if the agent needs cameras, and must stay open meanwhile.
 
         `seed` is the rain seed; None takes the scenario's. `lod` is the level of detail of images, as of an export. A
-        scenario of the built-in street in another scene logs a warning. Raises ValueError if the scene lacks a drive, a
-        rig or a model that the scenario needs.
+        scenario of the built-in street, at any hour, in another scene logs a warning. Raises ValueError if the scene
+        lacks a drive, a rig or a model that the scenario needs.
         """
-        if scenario.scene == DEFAULT_SCENE != scene.name:
+        if scenario.scene == DEFAULT_SCENE != scene.name.partition(":")[0]:
             logger.warning("scenario %s is made for the built-in street, and is driven in scene %r", scenario.name,
                            scene.name)  # fmt: skip
         if needs.cameras and renderer is None:

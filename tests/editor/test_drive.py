@@ -106,7 +106,10 @@ def test_the_last_opened_rollout_plays_in_place_of_the_traffic_until_it_is_close
     settled(editor)
     assert [each.intensity_mm_h for each in player.opened] == [8.5, 0.0] and player.playing is player.opened[1]
     player.play(first)
+    assert player.is_placing and player.playing is not first
     settled(editor)
+    assert player.playing is first and not player.is_placing
+    assert first.outcome == f"collision with lead after {first.duration_s:.2f} s"
     assert editor.split_panes[0].rainfall.rain.intensity_mm_h == 8.5
     player.close(first)
     settled(editor)

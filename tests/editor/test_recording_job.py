@@ -62,6 +62,17 @@ def test_the_estimate_is_of_the_last_picture_that_a_recording_would_draw_as_well
     assert editor.render_queue.extent().seconds is None
 
 
+def test_the_estimate_from_timed_frames_is_not_of_another_scene(editor, tmp_path):
+    editor.render_queue.change(size_px=(96, 64), last_s=0.2)
+    editor.render_queue.time_frames()
+    editor.jobs.newest("timing").wait(60)
+    assert editor.render_queue.extent().is_timed
+    write_scene(small_scene("other"), tmp_path / "other")
+    editor.files.open(str(tmp_path / "other"))
+    settle(editor)
+    assert editor.document.scene.name == "other" and not editor.render_queue.extent().is_timed
+
+
 def test_the_ends_of_a_recording_are_those_of_the_timelines_range(editor):
     editor.document.edit("Fly", set_path, FLIGHT)
     queue, clock = editor.render_queue, editor.playback.clock

@@ -99,6 +99,12 @@ def test_ends_of_a_drive(fields, agent, end, steps, completion):
     assert rollout.steps[0].route_left_m == pytest.approx(fields.get("left_m", 0.0))
 
 
+@pytest.mark.parametrize(("name", "warns"), [("street", False), ("street:dusk", False), ("garden", True)])
+def test_scenarios_of_the_street_warn_in_another_scene_but_at_no_hour(name, warns, caplog):
+    Simulation(scenario(scene="street"), small_scene(name))
+    assert ["made for the built-in street" in each.message for each in caplog.records] == [True] * warns
+
+
 def test_wrong_plans_seeds_and_steps_after_the_end_are_refused():
     simulation = Simulation(scenario(duration_s=0.25), small_scene())
     simulation.reset()

@@ -58,11 +58,26 @@ def test_a_scenario_is_changed_saved_and_driven_from_the_panel(driver, tmp_path)
     driver.until_worked(lambda: job.state != "running" and not drives.is_working)
     assert (job.state, job.error, editor.status.problem) == ("finished", None, None)
     assert (drives.playing.intensity_mm_h, drives.playing.metrics.end) == (5.0, "time")
+    assert job.progress.message == "no collision in 1.00 s (time)"
     driver.frames()
     driver.ctx.item_click("//Drive/###save roll-out")
     driver.choose_file("Save roll-out", tmp_path / "mine.jsonl")
     driver.until(lambda: not drives.is_working)
     assert read_rollout(tmp_path / "mine.jsonl") == drives.playing.rollout
+
+
+def test_a_click_on_an_image_of_the_rig_looks_from_its_camera(driver):
+    viewport, playback = driver.editor.viewport, driver.editor.playback
+    viewport.ride(True)
+    playback.clock.seek(2.0)
+    driver.tap(f"{driver.panel('Camera rig')}###look from FRONT")
+    scene = driver.editor.document.scene
+    (front,) = scene.rigs["one"]
+    expected, shown = front.camera(scene.ego_to_world(2.0)), viewport.shot(960, 640).camera
+    assert np.allclose(shown.world_to_camera, expected.world_to_camera, atol=1e-6)
+    assert shown.vertical_fov_deg == pytest.approx(expected.vertical_fov_deg)
+    playback.clock.seek(3.0)
+    assert np.array_equal(viewport.shot(960, 640).camera.world_to_camera, shown.world_to_camera)
 
 
 def test_a_rollout_that_was_dropped_plays_and_goes_away_again(driver, rollout):

@@ -219,7 +219,7 @@ def _rain_keyframe(title: str, field: str) -> Command:
 
 def _follow_ego(name: str, mode: str, help_text: str) -> Command:
     return Command(
-        name, lambda rollouts: rollouts.follow(mode), "Drive", "", help_text, _plays,
+        name, lambda rollouts: rollouts.follow(mode), "Drive", "", f"{help_text} Needs a roll-out that plays.", _plays,
         lambda rollouts, viewport: _plays(rollouts) and viewport.chase.mode == mode,
     )  # fmt: skip
 
@@ -483,7 +483,8 @@ COMMAND_GROUPS: tuple[tuple[Command, ...], ...] = (
     ),
     (
         Command("Follow path", lambda viewport: viewport.ride(not viewport.options.follow_path), "Timeline", "V",
-                "Look through the camera that moves along the path.", is_on=_is("viewport.options.follow_path")),
+                "Look through the camera that moves along the path: your own, else the ego vehicle's drive.",
+                is_on=_is("viewport.options.follow_path")),
         Command("Show camera path", _toggle("playback.timeline.show_path"), "Timeline", "",
                 "Draw the path and its keyframes in the viewport.", is_on=_is("playback.timeline.show_path")),
         Command("Closed camera path", "ui.commands.actions:loop_path", "Timeline", "",

@@ -194,6 +194,8 @@ def _rollouts(viewport: ViewportState, rollouts: RolloutPlayer) -> None:
         imgui.push_id(number)
         _row(rollouts, opened, color(hue))
         imgui.pop_id()
+    if rollouts.is_placing:
+        imgui.text_disabled("Finding its road in the scene; then it plays.")
     warn(rollouts.why_hidden)
     _jumps(rollouts)
     imgui.align_text_to_frame_padding()
@@ -227,7 +229,8 @@ def _row(rollouts: RolloutPlayer, opened: LoadedRollout, hue: int) -> None:
         rollouts.play(opened)
     path = "not saved" if opened.path is None else str(opened.path)
     imgui.set_item_tooltip(
-        f"{opened.title}, seed {opened.rollout.seed}, in {opened.rollout.scene!r}\n{path}\nClick: play it."
+        f"{opened.title}, seed {opened.rollout.seed}, in {opened.rollout.scene!r}\n"
+        f"{visible_name(opened.outcome)}\n{path}\nClick: play it."
     )
     draw, low = imgui.get_window_draw_list(), at.y + (height - imgui.get_text_line_height()) / 2
     side = 0.55 * imgui.get_text_line_height()

@@ -239,13 +239,15 @@ def camera_mosaic_panel(document: Document, rollouts: RolloutPlayer) -> None:
     top = start.y
     for row in rows:
         for column, camera in enumerate(row):
-            _image(rollouts, camera, ImVec2(start.x + column * (width + _GAP), top), width)
+            if _image(rollouts, camera, ImVec2(start.x + column * (width + _GAP), top), width):
+                rollouts.look_from(camera)
         top += max(width * each.height / each.width for each in row) + _GAP
     imgui.set_cursor_screen_pos(start)
     imgui.dummy(ImVec2(columns * (width + _GAP), top - start.y))
 
 
-def _image(rollouts: RolloutPlayer, camera: RigCamera, at: ImVec2, width: float) -> None:
+def _image(rollouts: RolloutPlayer, camera: RigCamera, at: ImVec2, width: float) -> bool:
+    """Draw a camera's image with its name; returns True if it was clicked."""
     draw, em = imgui.get_window_draw_list(), imgui.get_font_size()
     end = ImVec2(at.x + width, at.y + width * camera.height / camera.width)
     draw_image(rollouts.mosaic.pictures.get(camera.name), at, end)
@@ -255,6 +257,11 @@ def _image(rollouts: RolloutPlayer, camera: RigCamera, at: ImVec2, width: float)
     draw.add_rect_filled(low, ImVec2(low.x + size.x + 0.5 * em, low.y + size.y), color(OUTLINE), 3.0)
     draw.add_text(ImVec2(low.x + 0.25 * em, low.y), imgui.get_color_u32((1.0, 1.0, 1.0, 0.95)), words)
     draw.pop_clip_rect()
-    if imgui.is_window_hovered() and imgui.is_mouse_hovering_rect(at, end):
-        size_px = f"{camera.width} x {camera.height} px"
-        imgui.set_tooltip(f"{camera.name}, {size_px}, {1000 * camera.exposure_s:.3g} ms.")
+    imgui.set_cursor_screen_pos(at)
+    clicked = imgui.invisible_button(f"###look from {camera.name}", ImVec2(width, end.y - at.y))
+    size_px = f"{camera.width} x {camera.height} px"
+    imgui.set_item_tooltip(
+        f"{camera.name}, {size_px}, {1000 * camera.exposure_s:.3g} ms.\n"
+        "Click: look from there. Follow path (V) rides along."
+    )
+    return clicked

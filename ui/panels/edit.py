@@ -200,7 +200,7 @@ def _actor_fields(document: Document, viewport: ViewportState, actor: Actor) -> 
         document.edit(f"Remove {actor.name}", remove, key)
     follows = viewport.following.key == key
     help_text = "The camera moves and turns with it; a drag still looks around."
-    if checkbox("Follow with the camera", follows, help_text) != follows:
+    if checkbox("Follow actor with camera", follows, help_text) != follows:
         viewport.following.follow("" if follows else key)
         viewport.options.follow_path = False
 

@@ -99,6 +99,14 @@ class LoadedRollout:
     def duration_s(self) -> float:
         return self.rollout.steps[-1].time_s
 
+    @property
+    def outcome(self) -> str:
+        """Its end in words, with the time in seconds."""
+        hit = self.metrics.collided_with
+        if hit is None:
+            return f"no collision in {self.duration_s:.2f} s ({self.rollout.end})"
+        return f"collision with {hit} after {self.duration_s:.2f} s"
+
 
 def load_rollout(path: Path, *, is_own: bool = True) -> LoadedRollout:
     """Read a roll-out; `is_own` is false for a temporary file of a job.
