@@ -20,7 +20,7 @@ from ..scene.scene import Scene
 from .autosave import saved_scene
 from .files import Files
 from .jobs.job import Job, JobRunner
-from .jobs.record import SHEET_MM_H, export_job, frame_job, sheet_job, timing_job
+from .jobs.record import SHEET_MM_H, export_job, frame_job, page_job, sheet_job, timing_job
 from .live_rain import LiveRain
 from .preferences import PreferencesStore
 from .status import StatusBus
@@ -221,6 +221,22 @@ class RenderQueue:
         """Draw the viewport's present time and view in several intensities below each other."""
         still = msgspec.structs.replace(self._still(path), passes=("color",), transparent=False)
         self._begin(still, self.still_scene(), sheet_job, f" --sheet {','.join(f'{each:g}' for each in SHEET_MM_H)}")
+
+    def publish_to(self, path: Path) -> None:
+        """Write a web page of the scene with its rain and path; replacing existing files needs confirmation."""
+        page = path if path.suffix.lower() in (".html", ".htm") else path.with_name(f"{path.name}.html")
+        if self._jobs.writes(page) is not None:
+            self._status.report(f"{page} is being written already: choose another name")
+            return
+        scene, known = saved_scene(self._viewport), self._files.known
+
+        def log_published(output: Path, _: bool) -> None:
+            logger.info("Published %s", output)
+
+        def start() -> None:
+            self._jobs.start(page_job(scene, page, known), log_published)
+
+        self._status.ask_before_replacing([page], start)
 
     def _still(self, path: Path) -> ExportSettings:
         return msgspec.structs.replace(

@@ -119,6 +119,19 @@ def test_the_recording_of_the_window_is_that_of_the_command_line(editor, tmp_pat
     assert files_in(folder) == mine
 
 
+@pytest.mark.parametrize("flight", [FLIGHT, None])
+def test_the_page_of_the_window_is_that_of_the_command_line(editor, tmp_path, flight):
+    editor.document.edit("Fly", set_path, flight)
+    project, page, other = tmp_path / "project", tmp_path / "mine.html", tmp_path / "other.html"
+    write_scene(saved_scene(editor.viewport), project, editor.files.known, in_drawing_order=True)
+    editor.render_queue.publish_to(tmp_path / "mine")  # the ending is put behind the name
+    assert editor.jobs.newest("export").wait(60) == page
+    assert run(["publish", str(project), "-o", str(other)]) == 0
+    assert page.read_bytes() == other.read_bytes()
+    editor.render_queue.publish_to(page)
+    assert editor.status.question.title == "Replace?"
+
+
 def test_a_cancelled_recording_can_be_played(editor, tmp_path):
     editor.render_queue.change(size_px=(96, 64), last_s=600.0)
     editor.render_queue.record_to(tmp_path / "long")  # the format's ending is put behind the name

@@ -317,6 +317,10 @@ COMMAND_GROUPS: tuple[tuple[Command, ...], ...] = (
         Command("Draw intensity sheet...", "ui.panels.record:ask_where_to_draw_sheet", "File", "",
                 "Draw the present view in five intensities below each other, with what can be seen of each in numbers.",
                 _has_scene, shell="render"),
+        Command("Publish web page...", "ui.panels.record:ask_where_to_publish", "File", "",
+                "Write one HTML file with the scene, its path or drive, and its rain under a slider, for any browser.\n"
+                "It has no rain keyframes, rings, spray, water on glass and light of lamps.",
+                _has_scene, shell="publish", python="publish"),
     ),
     # Editing
     (

@@ -106,8 +106,11 @@ def record_panel(
     _passes(render_queue)
     _preview(render_queue)
     imgui.separator()
-    if button("Intensity sheet...", help_of("Draw intensity sheet..."), width=-1):
+    if button("Intensity sheet...", help_of("Draw intensity sheet..."), width=share_of_width(2)):
         ask_where_to_draw_sheet(render_queue)
+    imgui.same_line()
+    if button("Web page...", help_of("Publish web page..."), width=-1):
+        ask_where_to_publish(render_queue)
     why_not = "The scene is not in a file yet: save it first." if files.source is None else None
     forms = {"command": lambda: render_queue.command, "Python": lambda: render_queue.program}
     copy_buttons("this recording", forms, status, why_not)
@@ -128,6 +131,12 @@ def ask_where_to_render_image(render_queue: RenderQueue) -> None:
 def ask_where_to_draw_sheet(render_queue: RenderQueue) -> None:
     draw, name = render_queue.draw_sheet_to, render_queue.proposed_name("_rain.png")
     ask_where_to_save("Intensity sheet", "PNG{.png}", lambda chosen: draw(chosen[0]), proposed=name, confirms=False)
+
+
+def ask_where_to_publish(render_queue: RenderQueue) -> None:
+    publish, name = render_queue.publish_to, render_queue.proposed_name(".html")
+    ask_where_to_save("Publish web page", "Web page{.html}", lambda chosen: publish(chosen[0]), proposed=name,
+                      confirms=False)  # fmt: skip
 
 
 def _extent(render_queue: RenderQueue) -> bool:

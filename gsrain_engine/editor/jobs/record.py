@@ -138,6 +138,30 @@ def sheet_in_worker(folder: Path, still: ExportSettings) -> Iterator[Progress]:
         yield from write_sheet(renderer, sequences, SHEET_MM_H, still.path)
 
 
+def page_job(scene: Scene, page: Path, known: FileCache) -> Job[Path]:
+    """Create a job that writes a web page, as `gsrain publish PROJECT` does, whose result is its path."""
+    return Job(
+        "export", f"Publish {page.name}", page_in_worker, lambda _: page,
+        lambda folder: (write_copy(scene, folder, known), page), ends_with_scene=False, output=page,
+    )  # fmt: skip
+
+
+def page_in_worker(folder: Path, page: Path) -> Iterator[Progress]:
+    """Worker: write a web page of a scene folder with its rain and path; raises as `publish_page` does."""
+    from ...publish.page import opening_view, publish_page  # its shaders and templates are for pages alone
+
+    yield Progress(0.0, "Reading the scene")
+    scene = load_sorted_scene(str(folder))
+    rain = rain_of(scene) or RainSettings()
+    path = own_path(scene, *DEFAULT_SIZE_PX)
+    film = ExportSettings(output="page.mp4")
+    is_own = scene.path is not None
+    sequence = export_sequences(film, scene, RainSimulation.start(rain), path, in_scene_time=is_own)[""]
+    opening = opening_view(scene, None, has_path=False)
+    with open_renderer("cpu") as renderer:
+        yield from publish_page(renderer, scene, rain, sequence, "Path", page, opening=opening)
+
+
 def own_path(scene: Scene, width: int, height: int) -> CameraPath:
     """The scene's camera path, else the ego's drive, else an orbit. World frame, meters."""
     return default_path(scene, width, height) if scene.path is None else scene.path.moved(scene.scene_to_world)
