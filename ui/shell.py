@@ -16,7 +16,7 @@ from .folding import bring_to_front, panel_windows
 from .panels.jobs import job_tray, tray_width
 from .tools import TOOLS
 from .widgets.fields import WARNING
-from .widgets.text import key_names, label
+from .widgets.text import key_names, label, shortened
 from .widgets.type_ahead import has_keys
 
 _NO_OWNER = 0xFFFFFFFF  # ImGuiKeyOwner_NoOwner
@@ -180,12 +180,9 @@ def status_bar(editor: Editor) -> None:
         hint = newest.text  # such as "Exported out.ply"; errors appear over the viewport instead
     if hint:
         imgui.same_line()
-        corner, height = imgui.get_window_pos(), imgui.get_window_height()
-        low, high = imgui.get_cursor_screen_pos(), (corner.x + room, corner.y + height)
-        imgui.push_clip_rect(low, high, True)
-        imgui.text_disabled(f"   {hint}")
-        imgui.pop_clip_rect()
-        if imgui.get_item_rect_max().x > high[0]:
+        words = f"   {hint}"
+        imgui.text_disabled(shown := shortened(words, room - imgui.get_cursor_pos_x() - imgui.get_font_size()))
+        if shown != words:
             imgui.set_item_tooltip(hint)
     if room < rate_at:
         imgui.same_line(room)

@@ -80,6 +80,21 @@ def test_a_click_on_an_image_of_the_rig_looks_from_its_camera(driver):
     assert np.array_equal(viewport.shot(960, 640).camera.world_to_camera, shown.world_to_camera)
 
 
+def test_the_boxes_of_a_plan_are_those_of_the_rollout(driver, rollout):
+    drives, viewport = driver.editor.rollouts, driver.editor.viewport
+    driver.window.drop([str(rollout)])
+    driver.until(lambda: drives.playing is not None and not drives.is_working)
+    drives.show_boxes = drives.show_plan = False
+    viewport.look_from_above()
+
+    def yellow():
+        return np.all(np.abs(driver.screen() - [255, 205, 60]) < 40, axis=-1).sum()
+
+    before = yellow()
+    viewport.options.marks = frozenset({"boxes"})
+    assert yellow() > before + 30  # the lead and the ego vehicle; the scene has no road users
+
+
 def test_a_rollout_that_was_dropped_plays_and_goes_away_again(driver, rollout):
     editor = driver.editor
     drives = editor.rollouts

@@ -7,6 +7,7 @@ from gsrain_engine.fields import short_number
 from gsrain_engine.scene.progress import figure_text
 from ui.panels.registry import BUILT_IN_PANELS
 from ui.widgets.numbers import plain_form
+from ui.widgets.text import shortened
 from window_driver import imgui
 
 _DRAWING = ("text", "text_disabled", "text_colored", "text_unformatted", "button", "checkbox", "radio_button")
@@ -68,6 +69,15 @@ def test_no_words_are_cut_at_the_edge_of_a_panel(driver, cut):
         driver.frames()
         found |= {panel.title: set(cut)} if cut else {}
     assert found == {}
+
+
+def test_words_without_room_end_in_an_ellipsis(driver):
+    words, width_px = "1 waiting, 62 %  Record street.mp4", 120.0
+    shown = shortened(words, width_px)
+    kept = shown.removesuffix("\u2026")
+    assert kept != shown and words.startswith(kept) and imgui.calc_text_size(shown).x <= width_px
+    assert imgui.calc_text_size(f"{words[: len(kept) + 2]}\u2026").x > width_px
+    assert shortened(words, 1000.0) == words and shortened(words, 1.0) == "\u2026"
 
 
 def test_numbers_have_units_and_no_exponents():

@@ -33,7 +33,7 @@ from ..widgets.fields import (
 )
 from ..widgets.file_dialogs import ALL_FILES, ask_what_to_open, ask_where_to_save, path_field
 from ..widgets.numbers import in_bounds
-from ..widgets.text import visible_name
+from ..widgets.text import shortened, visible_name
 from .drive_plots import curve_colors, drive_metrics
 from .jobs import job_fields
 
@@ -236,9 +236,8 @@ def _row(rollouts: RolloutPlayer, opened: LoadedRollout, hue: int) -> None:
     side = 0.55 * imgui.get_text_line_height()
     top = at.y + (height - side) / 2
     draw.add_rect_filled(ImVec2(at.x + 4, top), ImVec2(at.x + 4 + side, top + side), hue, 2.0)
-    draw.push_clip_rect(at, ImVec2(at.x + room, at.y + height), True)
-    draw.add_text(ImVec2(at.x + side + 12, low), imgui.get_color_u32(imgui.Col_.text), opened.title)
-    draw.pop_clip_rect()
+    title = shortened(opened.title, room - side - 12)
+    draw.add_text(ImVec2(at.x + side + 12, low), imgui.get_color_u32(imgui.Col_.text), title)
     imgui.same_line()
     if square_button(_ICONS.ICON_FA_XMARK, "close"):
         rollouts.close(opened)

@@ -14,7 +14,7 @@ from gsrain_engine.scene.progress import duration_text, figure_text
 from ..widgets.desktop import open_in_desktop
 from ..widgets.draw import line, plot
 from ..widgets.fields import WARNING, button, combo, faint, same_line_if_fits, warn
-from ..widgets.text import visible_name
+from ..widgets.text import shortened, visible_name
 
 
 def jobs_panel(viewport: ViewportState, jobs: JobRunner) -> None:
@@ -157,9 +157,8 @@ def _fill_bar(fraction: float, words: str) -> None:
     background, bar, text = map(imgui.get_color_u32, (imgui.Col_.frame_bg, imgui.Col_.plot_histogram, imgui.Col_.text))
     draw.add_rect_filled(low, high, background)
     draw.add_rect_filled(low, ImVec2(low.x + fraction * (high.x - low.x), high.y), bar)
-    imgui.push_clip_rect(low, high, True)
-    draw.add_text(ImVec2(low.x + 0.4 * imgui.get_font_size(), low.y), text, visible_name(words))
-    imgui.pop_clip_rect()
+    margin = 0.4 * imgui.get_font_size()
+    draw.add_text(ImVec2(low.x + margin, low.y), text, shortened(visible_name(words), high.x - low.x - 2 * margin))
 
 
 # Log panel

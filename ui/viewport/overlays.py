@@ -51,12 +51,12 @@ _FAINT = ImVec4(0.7, 0.71, 0.75, 1.0)
 # Marks of an orthographic view
 
 
-def plan_overlay(document: Document, viewport: ViewportState, canvas: Canvas) -> bool:
-    """Draw grid, scale bar, boxes and paths over a view to scale."""
+def plan_overlay(rollouts: RolloutPlayer, viewport: ViewportState, canvas: Canvas) -> bool:
+    """Draw grid, scale bar, boxes and paths over a view to scale, of the traffic that it shows."""
     marks = viewport.marks
     if not marks or not canvas.shot.camera.is_orthographic:
         return False
-    found, bar = mark_lines(document.scene, canvas.shot, marks), scale_bar(canvas.shot.camera)
+    found, bar = mark_lines(rollouts.displayed_scene, canvas.shot, marks), scale_bar(canvas.shot.camera)
     left, bottom = canvas.width - bar.length_px - 2 * _MARGIN, 2 * _MARGIN + 1.5 * imgui.get_font_size()
     bottom += 1.7 * imgui.get_frame_height() if viewport.options.tool else 0.0  # below the bar of a tool
     if "scale" in marks:

@@ -1,6 +1,7 @@
 """Text in the window: tables of values, names of keys, and escaping of names."""
 
 import re
+from bisect import bisect_left
 from collections.abc import Callable, Iterable
 from functools import wraps
 from typing import Any
@@ -58,6 +59,18 @@ _ONLY_WORDS = ("separator_text", "progress_bar")
 
 _TOOLTIPS = ("set_tooltip", "set_item_tooltip")
 """Functions whose text names keys."""
+
+
+def shortened(words: str, width_px: float) -> str:
+    """Return words that end in an ellipsis if they are wider."""
+
+    def is_narrow(text: str) -> bool:
+        return imgui.calc_text_size(text).x <= width_px
+
+    if is_narrow(words):
+        return words
+    count = bisect_left(range(1, len(words)), True, key=lambda kept: not is_narrow(f"{words[:kept].rstrip()}\u2026"))
+    return f"{words[:count].rstrip()}\u2026"
 
 
 def label(name: str, identity: str = "") -> str:
