@@ -169,7 +169,8 @@ def status_bar(editor: Editor) -> None:
         imgui.same_line()
         imgui.text(f"  {editor.busy}")
     tool = next((each for each in TOOLS if each.name == editor.viewport.options.tool), None)
-    right = f"{editor.viewport.rate.words(time.perf_counter())} ({editor.viewport.backend})".lstrip()
+    backend = f"({editor.viewport.backend})" if editor.viewport.backend else ""
+    right = f"{editor.viewport.rate.words(time.perf_counter())} {backend}".strip()
     room = imgui.get_window_width() - imgui.calc_text_size(right).x - 2 * imgui.get_font_size()
     rate_at, room = room, room - tray_width(editor.jobs)
     hint = f"{tool.name}: {tool.help}" if tool is not None else ""

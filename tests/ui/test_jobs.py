@@ -57,6 +57,14 @@ def test_a_view_is_previewed_then_the_scene_made_rainy_compared_and_undone(drive
     driver.click(f"{PANEL}###make")
     driver.until_worked(lambda: editor.jobs.running)
     assert ctx.item_exists(f"{PANEL}###make")  # another one would wait
+    for plays in (True, False):
+        faint_words = []
+        with monkeypatch.context() as patched:
+            patched.setattr(jobs_panels, "faint", faint_words.append)
+            editor.playback.clock.playing = plays
+            driver.frames()
+            editor.playback.clock.playing = False
+        assert any("pause that (Space)" in (each or "") for each in faint_words) == plays
     driver.click(f"{PANEL}Cancel##0")
     assert (editor.jobs.all[0].state, editor.document.scene) == ("cancelled", before)
     editor.jobs.clear()

@@ -56,6 +56,8 @@ def job_fields(viewport: ViewportState, jobs: JobRunner, job: Job[Any]) -> None:
             job.cancel()
         imgui.text_wrapped(job.progress.message)
         faint(job.progress.note)
+        if viewport.playback.clock.playing and not job.in_thread:
+            faint("It shares the processor with the view; pause that (Space), and it is faster.")
         _metrics(job)
         warn(job.progress.warning)
         if (preview := viewport.job_previews.get(job)) is not None:
