@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from ui.widgets import fields
+
 
 def test_glass_is_chosen_and_drawn_in_the_viewport(driver):
     editor = driver.editor
@@ -22,3 +24,15 @@ def test_glass_is_chosen_and_drawn_in_the_viewport(driver):
     assert np.array_equal(driver.picture(), behind)
     driver.ctx.combo_click("##glass/none")
     assert np.array_equal(driver.picture(), open_air)
+
+
+def test_the_panel_says_what_keeps_a_lens_dry(driver, monkeypatch):
+    said = []
+    monkeypatch.setattr(fields, "faint", said.append)
+    for kind in ("windshield", "lens"):
+        driver.editor.document.change_rain("Glass", glass=kind)
+        said.clear()
+        driver.panel("Rain")
+        driver.tap("//Rain/Glass")
+        assert any("against it" in each for each in said) == (kind == "lens")
+        driver.tap("//Rain/Glass")

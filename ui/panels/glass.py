@@ -21,6 +21,8 @@ def glass_fields(document: Document) -> None:
     if kind == "none":
         fields.faint("There is no glass in front of the camera.")
     else:
+        if kind == "lens":
+            fields.faint("It is upright: only wind from ahead, or its own motion, drives drops against it.")
         for rig in document.scene.rigs:
             imgui.text_wrapped(_sentence(document.scene, rig, kind))
     for each in fields_of(RainSettings):
