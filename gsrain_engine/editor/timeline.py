@@ -94,6 +94,9 @@ class Ruler:
         self.first_s = max(time_s, -_MARGIN * self.visible_span_s)
 
 
+_TOO_LONG = 3.0
+
+
 @dataclass(slots=True)
 class Timeline:
     """State of the Timeline panel."""
@@ -108,6 +111,8 @@ class Timeline:
     ruler: Ruler = field(default_factory=Ruler)
     is_fitted: bool = False
     """True if the ruler was fitted to the scene's whole time."""
+    history_place: tuple[int, int] = (0, 0)
+    """Number of steps of the history and the present one, when the panel was last drawn."""
     takes_keys: bool = False
     """True if the panel has the keyboard focus."""
     asks_for_time: bool = False
@@ -129,11 +134,26 @@ class Playback:
         content = content_span(self._document.scene, self._document.keyframes)
         return self.clock.span_s or self.rollout_span_s or content
 
-    def show_all(self) -> None:
-        """Fit the ruler to playback and to all rain keyframes."""
+    @property
+    def whole_s(self) -> tuple[float, float]:
+        """Start and end of playback and of all rain keyframes."""
         (start, end), keys = self.span_s, self._document.keyframes.keys
         first, last = (keys[0].time_s, keys[-1].time_s) if keys else (start, end)
-        self.timeline.ruler.fit(min(start, first), max(end, last))
+        return min(start, first), max(end, last)
+
+    def show_all(self) -> None:
+        """Fit the ruler to playback and to all rain keyframes."""
+        self.timeline.ruler.fit(*self.whole_s)
+
+    def follow_history(self) -> None:
+        """Fit the ruler if a step that was undone or redone leaves it far too long, as that of a shower does."""
+        history, timeline = self._document.history, self.timeline
+        place = len(history.labels), history.cursor
+        is_moved = place[0] == timeline.history_place[0] and place != timeline.history_place
+        timeline.history_place = place
+        start, end = self.whole_s
+        if is_moved and _TOO_LONG * (end - start) < timeline.ruler.visible_span_s:
+            self.show_all()
 
     def advance(self, real_s: float) -> None:
         self.clock.advance(real_s, self.span_s)

@@ -5,7 +5,7 @@ import pytest
 
 from gsrain_engine.disdrometer.netcdf import write_spectra
 from gsrain_engine.disdrometer.virtual import VirtualDisdrometer
-from gsrain_engine.editor.edits.rain_keyframes import replace_keyframes
+from gsrain_engine.editor.edits.rain_keyframes import add_shower, replace_keyframes
 from gsrain_engine.editor.overlays import path_overlay_of
 from gsrain_engine.editor.rain_regions import face_handles, inset_view
 from gsrain_engine.editor.steps import steps_since
@@ -35,6 +35,23 @@ def flight(driver):
 
 def drag(driver, start, end, held=()):
     driver.stroke(*(start + share * np.subtract(end, start) for share in (0, 0.3, 0.7, 1.0)), held=held)
+
+
+def test_the_ruler_fits_again_when_the_minute_of_a_shower_is_undone(driver):
+    playback = driver.editor.playback
+    driver.panel("Timeline")
+    before = playback.timeline.ruler.visible_span_s
+    driver.editor.document.edit_keyframes("Add passing shower", add_shower, 0.0)
+    playback.show_all()
+    driver.frames()
+    assert playback.timeline.ruler.visible_span_s > 60
+    driver.press(UNDO)
+    assert playback.timeline.ruler.visible_span_s == pytest.approx(before)
+    playback.timeline.ruler.fit(0.0, 12.0)  # the user's own, not far too long
+    own = playback.timeline.ruler.visible_span_s
+    driver.editor.document.change_rain("Intensity", intensity_mm_h=3.0)
+    driver.press(UNDO)
+    assert playback.timeline.ruler.visible_span_s == own
 
 
 def test_keys_are_added_scrubbed_moved_copied_deleted_and_undone(driver):
@@ -178,7 +195,7 @@ def test_all_rain_keyframes_are_made_imported_smoothed_and_cleared_from_the_menu
     choose("Linear")
     assert document.keyframes.between == "linear"
     choose("Clear rain keyframes")
-    assert not document.keyframes.keys
+    assert not document.keyframes.keys and ruler.visible_span_s < 20
     instrument = VirtualDisdrometer(RainSimulation.start(RainSettings(intensity_mm_h=20.0)), 0.5)
     write_spectra(driver.folder / "rain.nc", instrument.measure(60.0 * np.arange(4)).spectra)
     for answer, count in (("Cancel", 0), ("Use it", 3)):

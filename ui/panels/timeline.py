@@ -64,6 +64,7 @@ def timeline_panel(editor: Editor) -> None:
     if not timeline.is_fitted:
         playback.show_all()
         timeline.is_fitted = True
+    playback.follow_history()
     if playback.clock.playing and not imgui.is_mouse_down(_LEFT):
         timeline.ruler.show(playback.clock.time_s)
     start, range_height, height = imgui.get_cursor_screen_pos(), _RANGE_EM * em, _RULER_EM * em

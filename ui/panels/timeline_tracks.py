@@ -138,8 +138,9 @@ def add_passing_shower(document: Document, playback: Playback) -> None:
     playback.show_all()
 
 
-def clear_keyframes(document: Document) -> None:
+def clear_keyframes(document: Document, playback: Playback) -> None:
     document.edit_keyframes("Clear rain keyframes", replace_keyframes, NO_KEYFRAMES)
+    playback.show_all()
 
 
 def ask_for_rate_file(calibration: CalibrationTools) -> None:
@@ -164,7 +165,7 @@ def rain_menu(editor: Editor) -> None:
         imgui.set_item_tooltip(help_text)
     imgui.separator()
     if menu_item("Clear rain keyframes", help_of("Clear rain keyframes"), possible=bool(document.keyframes.keys)):
-        clear_keyframes(document)
+        clear_keyframes(document, editor.playback)
     imgui.end_popup()
 
 
