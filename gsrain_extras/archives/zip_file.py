@@ -54,7 +54,7 @@ def read_zip_scene(path: Path) -> Scene:
 
 def _names(path: Path, archive: zipfile.ZipFile) -> list[str]:
     """Names of the files in an archive, without those of archivers, in order."""
-    names = [each.filename for each in archive.infolist() if not each.is_dir()]
+    names = [each.filename for each in archive.infolist() if each.filename and not each.is_dir()]
     for name in names:
         parts = PurePosixPath(name).parts
         if PurePosixPath(name).is_absolute() or ".." in parts or "\\" in name or ":" in name or "\0" in name:

@@ -175,7 +175,11 @@ def is_splatsim(path: Path, archive: zipfile.ZipFile) -> bool:
     """Return whether a zip file has the description of such a scene."""
     if SCENE not in archive.namelist():
         return False
-    values = json_values(read_member(path, archive, SCENE, _MAX_JSON_BYTES))
+    data = read_member(path, archive, SCENE, _MAX_JSON_BYTES)
+    try:
+        values = json_values(data)
+    except ValueError as error:
+        raise SceneFormatError(path, f"{SCENE} in it: {error}") from None
     return isinstance(values, dict) and str(values.get("schema")).startswith("splatsim.scene/")
 
 

@@ -189,6 +189,7 @@ ASSET = f"actor_assets/a000-{CAR}/asset.spz"
         _json("scene.json", lambda each: each["gaussians"].update(chunks=[])),
         _json("scene.json", lambda each: each["gaussians"]["chunks"][0].update(uri="../x.spz")),
         _json("scene.json", lambda each: each["gaussians"]["chunks"][0].pop("uri")),
+        _bytes("scene.json", b"{"),
         _bytes("chunks/chunk_000000.spz", b"NGSP"),
         _bytes("chunks/chunk_000000.spz", None),
         _bytes("sequence_tracks.json", b"{"),
