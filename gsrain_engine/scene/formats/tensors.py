@@ -91,15 +91,15 @@ def activated_rows(
             raise SceneFormatError(path, f"{coefficients} harmonics for each color: expected 1, 4, 9 or 16")
         check_expansion(path, count, coefficients, path.stat().st_size)
         constant = array_of(trained.constant).reshape(count, 1, 3)
-        if trained.is_squashed:
-            constant = sh_from_color(1 / (1 + np.exp(-constant[:, 0])))
         means, quaternions = array_of(trained.means).reshape(count, 3), array_of(trained.quaternions).reshape(count, 4)
-        with np.errstate(over="ignore"):
-            scales = _three(np.exp(array_of(trained.log_scales).reshape(count, -1)), trained.thickness)
         opacities = array_of(trained.logits).reshape(count)
-        activate_opacities(opacities)
-        if trained.filter_3d is not None:
-            apply_3d_filter(scales, opacities, array_of(trained.filter_3d).reshape(count))
+        with np.errstate(over="ignore", invalid="ignore"):  # NaN and infinity are left out below
+            if trained.is_squashed:
+                constant = sh_from_color(1 / (1 + np.exp(-constant[:, 0])))
+            scales = _three(np.exp(array_of(trained.log_scales).reshape(count, -1)), trained.thickness)
+            activate_opacities(opacities)
+            if trained.filter_3d is not None:
+                apply_3d_filter(scales, opacities, array_of(trained.filter_3d).reshape(count))
         sh = np.concatenate([constant, others], axis=1)
         fit = usable_rows(path, means, scales, quaternions, opacities, sh)
         rows = (means, scales, quaternions, opacities, sh) if fit.all() else (
