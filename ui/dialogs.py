@@ -25,19 +25,20 @@ from .panels.views import name_field, view_options
 from .tools import TOOLS
 from .widgets.fields import LOGARITHMIC, button
 from .widgets.file_dialogs import SCENE_FOLDERS, ask_where_to_save
+from .widgets.popups import free_height, place_dialog
 from .widgets.text import key_names, visible_name
 from .widgets.type_ahead import is_menu_open
 
 
 @contextmanager
-def _page(
-    viewport: ViewportState, name: str, title: str, size: ImVec2, cond: imgui.Cond_ = imgui.Cond_.none
-) -> Generator[bool]:
-    """Begin the page that `viewport.options.dialog` names; yields True while it is open. Escape closes it."""
+def _page(viewport: ViewportState, name: str, title: str, width_em: float, height_em: float = 0.0) -> Generator[bool]:
+    """Begin the page that `viewport.options.dialog` names; yields True while it is open. Escape closes it.
+
+    A height of 0 is that of the content; others can be changed.
+    """
     if viewport.options.dialog == name and not imgui.is_popup_open(title):
         imgui.open_popup(title)
-    imgui.set_next_window_size(size, cond)
-    imgui.set_next_window_pos(imgui.get_main_viewport().get_center(), imgui.Cond_.appearing, ImVec2(0.5, 0.5))
+    place_dialog(width_em, height_em, imgui.Cond_.appearing if height_em else imgui.Cond_.none)
     is_open, _ = imgui.begin_popup_modal(title, True)
     yield is_open
     if is_open:
@@ -50,7 +51,7 @@ def _page(
 
 
 def about_page(viewport: ViewportState) -> None:
-    with _page(viewport, "about", "About GSRAIN", ImVec2(30 * imgui.get_font_size(), 0)) as is_open:
+    with _page(viewport, "about", "About GSRAIN", 30) as is_open:
         if is_open:
             imgui.text(f"GSRAIN {version('gsrain')}, Apache-2.0")
             imgui.text_wrapped(
@@ -62,7 +63,7 @@ def about_page(viewport: ViewportState) -> None:
 
 def news_page(viewport: ViewportState) -> None:
     """Draw what is new in this version."""
-    with _page(viewport, "news", "What's new", ImVec2(40 * imgui.get_font_size(), 0)) as is_open:
+    with _page(viewport, "news", "What's new", 40) as is_open:
         if not is_open:
             return
         news = _news()
@@ -94,9 +95,7 @@ _MOUSE_AND_FLIGHT = [
 
 
 def keyboard_page(viewport: ViewportState) -> None:
-    size = imgui.get_main_viewport().size
-    size = ImVec2(0.8 * size.x, 0.8 * size.y)
-    with _page(viewport, "keys", "Keyboard and mouse", size, imgui.Cond_.appearing) as is_open:
+    with _page(viewport, "keys", "Keyboard and mouse", 84, 48) as is_open:
         if not is_open:
             return
         tools = [(chord_name(int(tool.key)), f"Tool: {tool.name}") for tool in TOOLS if tool.key is not None]
@@ -117,13 +116,15 @@ def keyboard_page(viewport: ViewportState) -> None:
 
 def _group(title: str, rows: list[tuple[str, str]]) -> None:
     imgui.separator_text(title)
-    if imgui.begin_table(title, 2, imgui.TableFlags_.sizing_fixed_fit):
+    if imgui.begin_table(title, 2):
+        imgui.table_setup_column("keys", imgui.TableColumnFlags_.width_fixed)
+        imgui.table_setup_column("effect", imgui.TableColumnFlags_.width_stretch)
         for keys, effect in rows:
             imgui.table_next_row()
             imgui.table_next_column()
             imgui.text_disabled(key_names(keys))
             imgui.table_next_column()
-            imgui.text(effect)
+            imgui.text_wrapped(effect)
         imgui.end_table()
 
 
@@ -132,7 +133,7 @@ def _group(title: str, rows: list[tuple[str, str]]) -> None:
 
 def save_view_page(viewport: ViewportState, views: NamedViews) -> None:
     """Ask for the name of the present view."""
-    with _page(viewport, "save view", "Save view", ImVec2(24 * imgui.get_font_size(), 0)) as is_open:
+    with _page(viewport, "save view", "Save view", 24) as is_open:
         if not is_open:
             return
         if imgui.is_window_appearing():
@@ -162,9 +163,7 @@ def series_page(editor: Editor) -> None:
         editor.status.report(f"{series.name}: {error}")
         return
     options.dialog = "series"
-    with _page(
-        editor.viewport, "series", "Import disdrometer series", ImVec2(_WIDTH_EM * imgui.get_font_size(), 0)
-    ) as is_open:
+    with _page(editor.viewport, "series", "Import disdrometer series", _WIDTH_EM) as is_open:
         if is_open:
             imgui.text_wrapped(series.name)
             imgui.text_wrapped(
@@ -218,8 +217,7 @@ def draw_questions(viewport: ViewportState, files: Files, status: StatusBus) -> 
     viewport.options.dialog = ""  # nothing else is on top of it
     if not imgui.is_popup_open(question.title):
         imgui.open_popup(question.title)
-    imgui.set_next_window_size(ImVec2(_WIDTH_EM * imgui.get_font_size(), 0))
-    imgui.set_next_window_pos(imgui.get_main_viewport().get_center(), imgui.Cond_.always, ImVec2(0.5, 0.5))
+    place_dialog(_WIDTH_EM, pos_cond=imgui.Cond_.always)
     flags = imgui.WindowFlags_.no_resize | imgui.WindowFlags_.no_move | imgui.WindowFlags_.no_collapse
     if not imgui.begin_popup_modal(question.title, None, flags | imgui.WindowFlags_.no_saved_settings)[0]:
         return
@@ -240,17 +238,19 @@ def draw_questions(viewport: ViewportState, files: Files, status: StatusBus) -> 
 
 
 def _chosen_answer(question: Question) -> Answer | None:
-    """Draw the buttons, aligned right; returns the answer clicked in this frame, or chosen by a key."""
+    """Draw the buttons, aligned right, or below each other in a narrow window; returns the answer of this frame."""
     style, em = imgui.get_style(), imgui.get_font_size()
     margin = 2 * style.frame_padding.x + em
     widths = [max(6 * em, imgui.calc_text_size(each.label).x + margin) for each in question.answers]
-    wide = sum(widths) + style.item_spacing.x * (len(widths) - 1)
-    imgui.set_cursor_pos_x(imgui.get_cursor_pos_x() + max(0.0, imgui.get_content_region_avail().x - wide))
+    wide, room = sum(widths) + style.item_spacing.x * (len(widths) - 1), imgui.get_content_region_avail().x
+    is_row = wide <= room
+    if is_row:
+        imgui.set_cursor_pos_x(imgui.get_cursor_pos_x() + room - wide)
     clicked: Answer | None = None
     for n, (answer, width) in enumerate(zip(question.answers, widths, strict=True)):
-        if n > 0:
+        if n > 0 and is_row:
             imgui.same_line()
-        if imgui.button(answer.label, ImVec2(width, 0)):
+        if imgui.button(answer.label, ImVec2(width if is_row else -1, 0)):
             clicked = answer
         if n == 0:
             imgui.set_item_default_focus()
@@ -291,9 +291,7 @@ class CommandPalette:
         if editor.viewport.options.dialog == "commands" and not imgui.is_popup_open(_PALETTE_TITLE):
             self._typed, self._line = "", 0
             imgui.open_popup(_PALETTE_TITLE)
-        middle = imgui.get_main_viewport().get_center()
-        imgui.set_next_window_pos(ImVec2(middle.x, 0.14 * 2 * middle.y), imgui.Cond_.appearing, ImVec2(0.5, 0))
-        imgui.set_next_window_size(ImVec2(_WIDTH_EM * imgui.get_font_size(), 0))
+        place_dialog(_WIDTH_EM)
         if not imgui.begin_popup(_PALETTE_TITLE):
             if editor.viewport.options.dialog == "commands":
                 editor.viewport.options.dialog = ""
@@ -318,7 +316,9 @@ class CommandPalette:
         """Draw the list; returns the row that is clicked or entered in this frame."""
         chosen = None
         enter = imgui.is_key_pressed(imgui.Key.enter) or imgui.is_key_pressed(imgui.Key.keypad_enter)
-        if imgui.begin_child("lines", ImVec2(0, _LINES * imgui.get_text_line_height_with_spacing())):
+        below = imgui.get_frame_height_with_spacing() + 3 * imgui.get_style().window_padding.y
+        height = min(_LINES * imgui.get_text_line_height_with_spacing(), free_height(below))
+        if imgui.begin_child("lines", ImVec2(0, height)):
             for number, each in enumerate(found):
                 imgui.begin_disabled(not each.is_possible)
                 clicked, _ = imgui.selectable(f"{each.name}##{number}", number == self._line)

@@ -1,11 +1,12 @@
 """Window with the user's guide; it stays open beside what it describes."""
 
-from imgui_bundle import ImVec2, imgui
+from imgui_bundle import imgui
 
 from gsrain_engine.editor.guide import Block, guide_page, guide_pages
 from gsrain_engine.editor.viewport_state import ViewportState
 
 from .widgets.fields import combo, faint
+from .widgets.popups import place_dialog
 
 _WIDTH_EM, _HEIGHT_EM = 42.0, 40.0
 
@@ -15,10 +16,7 @@ def draw_guide(viewport: ViewportState) -> None:
     options = viewport.options
     if not options.guide:
         return
-    em, screen = imgui.get_font_size(), imgui.get_main_viewport()
-    size = ImVec2(min(_WIDTH_EM * em, 0.8 * screen.size.x), min(_HEIGHT_EM * em, 0.8 * screen.size.y))
-    imgui.set_next_window_size(size, imgui.Cond_.appearing)
-    imgui.set_next_window_pos(screen.get_center(), imgui.Cond_.appearing, ImVec2(0.5, 0.5))
+    place_dialog(_WIDTH_EM, _HEIGHT_EM, imgui.Cond_.appearing)
     imgui.set_next_window_bg_alpha(1.0)
     flags = imgui.WindowFlags_.no_docking | imgui.WindowFlags_.no_saved_settings | imgui.WindowFlags_.no_collapse
     is_drawn, stays = imgui.begin("Guide", True, flags)

@@ -50,6 +50,7 @@ from gsrain_engine.simulation.rollout_io import ROLLOUT_SUFFIXES
 
 from .dock_shares import DockShares
 from .input_queue import InputQueue
+from .widgets.popups import install_tooltips
 from .widgets.text import escape_all_text
 from .widgets.type_ahead import install_type_ahead
 from .window_place import fitted, monitors, open_at, place_of
@@ -184,6 +185,7 @@ class MainWindow:
 
     def parameters(self) -> hello_imgui.RunnerParams:
         escape_all_text()
+        install_tooltips()
         install_type_ahead()
         parameters = hello_imgui.RunnerParams()
         parameters.app_window_params.window_title = "GSRAIN"

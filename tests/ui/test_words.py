@@ -10,32 +10,6 @@ from ui.widgets.numbers import plain_form
 from ui.widgets.text import shortened
 from window_driver import imgui
 
-_DRAWING = ("text", "text_disabled", "text_colored", "text_unformatted", "button", "checkbox", "radio_button")
-
-
-@pytest.fixture
-def cut(monkeypatch):
-    """Words by window that reach beyond what can be seen of it, or of their button, so far."""
-    found = set()
-
-    def noting(function):
-        def draw(*arguments, **options):
-            result = function(*arguments, **options)
-            words = next(each for each in arguments if isinstance(each, str)).partition("##")[0]
-            left, right = imgui.get_item_rect_min().x, imgui.get_item_rect_max().x
-            is_wider = function.__name__ == "button" and imgui.calc_text_size(words).x > right - left + 1
-            is_drawn = not imgui.internal.get_current_window().skip_items
-            if is_drawn and (is_wider or right > imgui.get_window_draw_list().get_clip_rect_max().x + 1):
-                found.add((imgui.internal.get_current_window().name, words))
-            return result
-
-        return draw
-
-    for name in _DRAWING:
-        monkeypatch.setattr(imgui, name, noting(getattr(imgui, name)))
-    return found
-
-
 SIZES = {
     "1100x720": ((1100, 720), 1.0, 1.0),
     "420x300": ((420, 300), 1.0, 1.0),

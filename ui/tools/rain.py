@@ -18,11 +18,12 @@ from gsrain_engine.rain.settings import STREAK_REGION, RegionBox
 from gsrain_engine.render.view import RenderView, rain_anchor
 
 from ..panels.rain import PICK_TOOL
-from ..widgets.draw import WHITE, Canvas, draw_hint, draw_line, draw_lines, draw_point, draw_words
+from ..widgets.draw import EDGE_MARGIN, WHITE, Canvas, draw_hint, draw_line, draw_lines, draw_point, draw_words
 from ..widgets.fields import button
 from ..widgets.text import inline_text
 from .base import DragTool, Tool, draw_rectangle
 
+_MIN_INSET_EM = 5.0  # height below which the view from outside is left out
 _COLORS = {"streak_region": (0.45, 0.85, 1.0, 1.0), "haze_region": (1.0, 0.8, 0.45, 1.0)}
 _LABELS: dict[RegionName, str] = {"streak_region": "Streak region", "haze_region": "Haze region"}
 _HELP = {"streak_region": "Where drops are simulated one by one.", "haze_region": "Region that haze is limited to."}
@@ -61,6 +62,8 @@ class RegionTool(Tool):
         self._move_face(canvas, inset)
         lit = self._drag.handle if self._drag is not None else under
         self._dots(canvas, box, handles, lit, labeled=place is canvas)
+        if inset.height < _MIN_INSET_EM * imgui.get_font_size():
+            return lit is not None
         draw, far = imgui.get_window_draw_list(), inset.on_screen(inset.width, inset.height)
         draw.add_rect_filled(inset.corner, far, imgui.get_color_u32((0.05, 0.06, 0.08, 0.82)), 5.0)
         ink = imgui.get_color_u32((0.8, 0.8, 0.8, 0.8))
@@ -82,10 +85,15 @@ class RegionTool(Tool):
                 draw_words(canvas, handle.point_m, f"{'xyz'[handle.axis]} {place:.2f} m")
 
     def _inset(self, canvas: Canvas, box: RegionBox, anchor: Float64[np.ndarray, "4 4"]) -> Canvas:
-        """Return the inset viewport at the lower right; its camera is fixed while a face is dragged."""
-        em = imgui.get_font_size()
-        width, height = int(min(15 * em, 0.5 * canvas.width)), int(min(11 * em, 0.5 * canvas.height))
-        corner = canvas.on_screen(canvas.width - width - 0.6 * em, canvas.height - height - 0.6 * em)
+        """Return the inset viewport at the lower right; its camera is fixed while a face is dragged.
+
+        In a small viewport it is a pixel high.
+        """
+        em, room = imgui.get_font_size(), canvas.edges.max_bottom - canvas.edges.corner - EDGE_MARGIN
+        width, height = int(min(15 * em, 0.5 * canvas.width)), int(min(11 * em, room))
+        if height < _MIN_INSET_EM * em:
+            height = 1
+        corner = canvas.on_screen(*canvas.corner_block(width, height if height > 1 else -EDGE_MARGIN))
         shot = self._frozen if self._frozen is not None else regions.inset_view(box, anchor, width, height)
         inset = Canvas(corner, width, height, shot, canvas.hovered, canvas.active)
         x, y = inset.mouse_px

@@ -1,5 +1,6 @@
 """First steps over the viewport: start card, hint of three steps, news after an update, and the bar of a new scene."""
 
+import math
 from functools import cache
 from importlib.metadata import version
 from typing import get_args
@@ -14,9 +15,10 @@ from gsrain_engine.editor.scene_setup import SETUP_MM_H
 from gsrain_engine.fields import short_number
 
 from ..commands.table import command_named
+from ..widgets.draw import EDGE_MARGIN, FreeEdges
 from ..widgets.fields import button
 from ..widgets.text import label
-from .notices import card
+from .notices import card, notice_room
 
 # Start card without a scene
 
@@ -33,6 +35,7 @@ def draw_start_card(editor: Editor, corner: ImVec2, width: int, height: int) -> 
     """Draw what can be opened, in the middle of the viewport."""
     wide = min(_WIDTH_EM * imgui.get_font_size(), width - 20.0)
     imgui.set_cursor_screen_pos(ImVec2(corner.x + (width - wide) / 2, corner.y + 0.2 * height))
+    imgui.set_next_window_size_constraints(ImVec2(0, 0), ImVec2(wide, 0.8 * height - 10.0))
     flags = imgui.ChildFlags_.auto_resize_y | imgui.ChildFlags_.always_use_window_padding
     if imgui.begin_child("empty", ImVec2(wide, 0), flags):
         imgui.text_wrapped("No scene is open. Drop a scene file or folder here, or begin with one of these.")
@@ -52,70 +55,76 @@ def draw_start_card(editor: Editor, corner: ImVec2, width: int, height: int) -> 
     imgui.end_child()
 
 
-# Hint of three steps, until they were done once
+# Card in the lower left corner: three steps, until they were done once, or what is new after an update
 
 _HINT_EM = 15.0
-_MARGIN = 10.0
+_LINES_EM = 12.0  # width that is left for lines of text at the lower edge
 
 
-def draw_hint(editor: Editor, corner: ImVec2, left: float, height: int) -> ImVec2:
-    """Draw the three steps at the bottom, beginning at `left`; done ones have a check mark, the last one ends the hint.
+def draw_corner_card(editor: Editor, corner: ImVec2, edges: FreeEdges, width: int, height: int) -> None:
+    """Draw the first steps, or after an update, once, an offer to read what is new; newcomers see the first steps.
 
-    Returns its right edge and its height with the margin below.
+    A small view, in whose middle it would be, goes without, and so does a narrow one while there are notices.
     """
-    document, files, jobs, preferences = editor.document, editor.files, editor.jobs, editor.preferences
+    preferences = editor.preferences
+    has_news = preferences.value.known_version != _version()
+    if preferences.value.hint:
+        rows, draw = 3, _draw_hint
+        if has_news:
+            preferences.set(known_version=_version())
+        if all(is_done for *_, is_done in _steps(editor)):
+            preferences.set(hint=False)
+            return
+    elif has_news:
+        rows, draw = 1, _draw_update
+    else:
+        return
+    wide, padding = _HINT_EM * imgui.get_font_size(), imgui.get_style().window_padding
+    tall = imgui.get_text_line_height_with_spacing() + rows * imgui.get_frame_height_with_spacing() + 2 * padding.y
+    needed = max(_LINES_EM * imgui.get_font_size(), notice_room(editor)[0])
+    if tall + 2 * EDGE_MARGIN > height / 2 or width - edges.left - wide - 2 * EDGE_MARGIN < needed:
+        return
+    imgui.set_cursor_screen_pos(ImVec2(corner.x + edges.left, corner.y + height - tall - EDGE_MARGIN))
+    with card("hint", wide, imgui.Col_.popup_bg, 0.94, imgui.ChildFlags_.borders):
+        draw(editor)
+    edges.left += wide
+
+
+def _steps(editor: Editor) -> tuple[tuple[str, str, str, bool], ...]:
+    """Return title, command and help of each step, and whether it was done."""
+    document, files, jobs = editor.document, editor.files, editor.jobs
     rains = document.rain_now.intensity_mm_h > 0 and not (editor.viewport.is_preparing or editor.awaits_first_picture)
     has_recorded = any(each.kind == "export" for each in jobs.all)
-    steps = (
+    return (
         ("Open a scene", "Open...", "Choose a file or folder of Gaussians.", files.source not in (None, "street")),
         ("Let it rain", "Moderate 5 mm/h", "Set 5 mm/h.", rains),
         ("Record a video", "Record timeline...", "Choose a place for the video.", has_recorded),
     )
-    if all(is_done for *_, is_done in steps):
-        preferences.set(hint=False)
-        return ImVec2(0, 0)
-    row, padding = imgui.get_frame_height_with_spacing(), imgui.get_style().window_padding
-    tall = len(steps) * row + imgui.get_text_line_height_with_spacing() + 2 * padding.y
-    imgui.set_cursor_screen_pos(ImVec2(corner.x + left, corner.y + height - tall - _MARGIN))
-    with card("hint", _HINT_EM * imgui.get_font_size(), imgui.Col_.popup_bg, 0.94, imgui.ChildFlags_.borders):
-        imgui.text_disabled("First steps")
-        imgui.same_line((_HINT_EM - 1.4) * imgui.get_font_size() - imgui.get_style().window_padding.x)
-        if imgui.small_button("x###end hint"):
-            preferences.set(hint=False)
-        imgui.set_item_tooltip("Don't show this any more.")
-        for number, (title, name, help_text, is_done) in enumerate(steps, start=1):
-            mark = icons.ICON_FA_CHECK if is_done else str(number)
-            command = command_named(name)
-            keys = f" ({command.key_names})" if command.key_names else ""
-            if button(f"{mark}  {title}###step {number}", help_text + keys, width=-1):
-                command.perform(editor)
-    return ImVec2(left + _HINT_EM * imgui.get_font_size(), tall + _MARGIN)
 
 
-# After an update, once
+def _draw_hint(editor: Editor) -> None:
+    """Draw the three steps; done ones have a check mark, the last one ends the hint."""
+    imgui.text_disabled("First steps")
+    imgui.same_line((_HINT_EM - 1.4) * imgui.get_font_size() - imgui.get_style().window_padding.x)
+    if imgui.small_button("x###end hint"):
+        editor.preferences.set(hint=False)
+    imgui.set_item_tooltip("Don't show this any more.")
+    for number, (title, name, help_text, is_done) in enumerate(_steps(editor), start=1):
+        mark = icons.ICON_FA_CHECK if is_done else str(number)
+        command = command_named(name)
+        keys = f" ({command.key_names})" if command.key_names else ""
+        if button(f"{mark}  {title}###step {number}", help_text + keys, width=-1):
+            command.perform(editor)
 
 
-def draw_update(editor: Editor, corner: ImVec2, left: float, height: int) -> ImVec2:
-    """Offer where the hint is what is new, until it was read or closed; newcomers see the first steps there.
-
-    Returns its right edge and its height with the margin below.
-    """
-    preferences = editor.preferences
-    if preferences.value.known_version == _version():
-        return ImVec2(0, 0)
-    if preferences.value.hint:
-        preferences.set(known_version=_version())
-        return ImVec2(0, 0)
-    tall = 2 * imgui.get_frame_height_with_spacing() + 2 * imgui.get_style().window_padding.y
-    imgui.set_cursor_screen_pos(ImVec2(corner.x + left, corner.y + height - tall - _MARGIN))
-    with card("update", _HINT_EM * imgui.get_font_size(), imgui.Col_.popup_bg, 0.94, imgui.ChildFlags_.borders):
-        imgui.text(f"GSRAIN was updated to {_version()}.")
-        if is_read := button(f"{icons.ICON_FA_GIFT}  What's new###read news", "Show the changes in a few lines."):
-            editor.viewport.options.dialog = "news"
-        imgui.same_line()
-        if button("Close###close update", "Help > What's new shows them later.") or is_read:
-            preferences.set(known_version=_version())
-    return ImVec2(left + _HINT_EM * imgui.get_font_size(), tall + _MARGIN)
+def _draw_update(editor: Editor) -> None:
+    """Offer to read what is new."""
+    imgui.text(f"GSRAIN was updated to {_version()}.")
+    if is_read := button(f"{icons.ICON_FA_GIFT}  What's new###read news", "Show the changes in a few lines."):
+        editor.viewport.options.dialog = "news"
+    imgui.same_line()
+    if button("Close###close update", "Help > What's new shows them later.") or is_read:
+        editor.preferences.set(known_version=_version())
 
 
 @cache
@@ -126,14 +135,24 @@ def _version() -> str:
 # Bar of a new scene: up axis, scale, ground, rain
 
 
-def draw_setup_bar(editor: Editor, corner: ImVec2, left: float, width: int, top: float) -> None:
-    """Draw the steps from a file of Gaussians to rain, `top` below the upper edge, where the options of a tool end."""
+_ROW_EM = 30.0  # a narrower bar is one row, which scrolls
+
+
+def draw_setup_bar(editor: Editor, corner: ImVec2, left: float, width: int, top: float, max_height: float) -> float:
+    """Draw the steps from a file of Gaussians to rain, `top` below the upper edge, where the options of a tool end.
+
+    Returns the distance of its end from the upper edge.
+    """
     setup, document, viewport = editor.scene_setup, editor.document, editor.viewport
     scene, em = document.scene, imgui.get_font_size()
     imgui.set_cursor_screen_pos(ImVec2(corner.x + left, corner.y + top))
     imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(8, 5))
-    with card("set-up", max(width - left - 8, 50), imgui.Col_.window_bg, 0.82, imgui.ChildFlags_.borders):
-        end = imgui.get_cursor_screen_pos().x + imgui.get_content_region_avail().x
+    wide = max(width - left - 8, 50)
+    is_row = wide < _ROW_EM * em
+    scrolls = imgui.WindowFlags_.horizontal_scrollbar if is_row else 0
+    color, borders = imgui.Col_.window_bg, imgui.ChildFlags_.borders
+    with card("set-up", wide, color, 0.82, borders, window_flags=scrolls, max_height=max_height):
+        end = math.inf if is_row else imgui.get_cursor_screen_pos().x + imgui.get_content_region_avail().x
         help_text = "Find the ground and which way is up, and from a camera path the scale. Undo restores the scene."
         if button(f"{icons.ICON_FA_WAND_MAGIC_SPARKLES}  Guess###guess", help_text):
             setup.guess()
@@ -169,6 +188,7 @@ def draw_setup_bar(editor: Editor, corner: ImVec2, left: float, width: int, top:
         ):
             setup.is_open = False
     imgui.pop_style_var()
+    return top + imgui.get_item_rect_size().y
 
 
 def _caption(text: str) -> None:

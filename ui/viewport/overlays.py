@@ -30,7 +30,7 @@ from gsrain_engine.render.plan_marks import COLORS as MARK_COLORS
 from gsrain_engine.render.plan_marks import bar_line, mark_lines, scale_bar
 from gsrain_engine.simulation.metrics.collisions import LONGEST_S
 
-from ..widgets.draw import CHOSEN, KEY, OUTLINE, PLAYHEAD, Canvas, color, draw_card, draw_dot, draw_lines
+from ..widgets.draw import CHOSEN, KEY, OUTLINE, PLAYHEAD, Canvas, color, draw_card, draw_dot, draw_hint, draw_lines
 from ..widgets.text import visible_name
 
 Overlay = Callable[..., bool]
@@ -57,9 +57,11 @@ def plan_overlay(rollouts: RolloutPlayer, viewport: ViewportState, canvas: Canva
     if not marks or not canvas.shot.camera.is_orthographic:
         return False
     found, bar = mark_lines(rollouts.displayed_scene, canvas.shot, marks), scale_bar(canvas.shot.camera)
-    left, bottom = canvas.width - bar.length_px - 2 * _MARGIN, 2 * _MARGIN + 1.5 * imgui.get_font_size()
-    bottom += 1.7 * imgui.get_frame_height() if viewport.options.tool else 0.0  # below the bar of a tool
+    left = bottom = 0.0
     if "scale" in marks:
+        tall = 1.5 * imgui.get_font_size() + _MARGIN
+        left, above = canvas.corner_block(bar.length_px + _MARGIN, tall)
+        bottom = above + tall - _MARGIN
         found.append(bar_line(bar, left, bottom))
     for mark, group in groupby(found, key=lambda each: each.mark):
         red, green, blue = (value / 255 for value in MARK_COLORS[mark])
@@ -299,7 +301,7 @@ def _draw_other_view(
         return
     width = min(_INSET_SHARE * canvas.width, _MAX_INSET_EM * imgui.get_font_size())
     height = width * other.camera.height / other.camera.width
-    low = canvas.on_screen(canvas.width - width - _MARGIN, _MARGIN)
+    low = canvas.on_screen(canvas.width - width - _MARGIN, canvas.edges.top + _MARGIN)
     high = ImVec2(low.x + width, low.y + height)
     draw = imgui.get_window_draw_list()
     draw.add_image(imgui.ImTextureRef(texture.name), low, high)
@@ -325,7 +327,7 @@ def _draw_legend(canvas: Canvas, title: str, shares: list[tuple[MatchOutcome, fl
     rows = [f"{_WORDS[each]}  {share:.0%}" for each, share in shares]
     width = max([imgui.calc_text_size(title).x, *(imgui.calc_text_size(row).x + 1.4 * em for row in rows)]) + 1.2 * em
     height = (1 + len(rows)) * line + 0.8 * em
-    low = canvas.on_screen(canvas.width - width - _MARGIN, canvas.height - height - _MARGIN)
+    low = canvas.on_screen(*canvas.corner_block(width, height))
     draw.add_rect_filled(low, ImVec2(low.x + width, low.y + height), color(_LEGEND_PAPER), 5.0)
     x, y = low.x + 0.6 * em, low.y + 0.4 * em
     draw.add_text(ImVec2(x, y), color(_INK), title)
@@ -407,19 +409,11 @@ def _draw_figures(document: Document, playback: Playback, rollouts: RolloutPlaye
         f"{step.ego.acceleration_m_s2:z.1f} m/s\u00b2",
         f"TTC {ttc_s:.1f} s" if ttc_s < LONGEST_S else f"TTC {LONGEST_S:g} s or more",
     ]
-    y = _draw_line_of_text(canvas, "    ".join(words), canvas.height - _MARGIN, _INK)
+    draw_hint(canvas, "    ".join(words), _INK)
     if step.collision is not None:
-        _draw_line_of_text(canvas, f"Hits {step.collision} at {step.ego.speed_m_s:.1f} m/s", y - 4, _HIT)
+        draw_hint(canvas, f"Hits {step.collision} at {step.ego.speed_m_s:.1f} m/s", _HIT)
     elif time_s >= rollout.played.end_s:
-        _draw_line_of_text(canvas, _ENDS.get(playing.rollout.end, playing.rollout.end), y - 4, _FAINT)
-
-
-def _draw_line_of_text(canvas: Canvas, words: str, low: float, ink: ImVec4) -> float:
-    """Draw a line of text above a height of the viewport; returns the height of its upper edge."""
-    size, em = imgui.calc_text_size(words), imgui.get_font_size()
-    at = canvas.on_screen((canvas.width - size.x) / 2, low - size.y - 0.25 * em)
-    draw_card(words, at, ink, _PAPER, (0.7 * em, 0.25 * em), 5.0)
-    return low - size.y - 0.5 * em
+        draw_hint(canvas, _ENDS.get(playing.rollout.end, playing.rollout.end), _FAINT)
 
 
 # Lamps

@@ -17,11 +17,11 @@ from ..folding import FoldedPanels
 from ..parts import bind_parts
 from ..tools import TOOLS
 from ..tools.base import Tool
-from ..widgets.draw import Canvas, draw_lines, draw_point
+from ..widgets.draw import EDGE_MARGIN, Canvas, FreeEdges, draw_lines, draw_point
 from ..widgets.fields import button
 from ..widgets.type_ahead import has_keys
-from .first_run import draw_hint, draw_setup_bar, draw_start_card, draw_update
-from .notices import card, draw_notices
+from .first_run import draw_corner_card, draw_setup_bar, draw_start_card
+from .notices import card, draw_notices, notice_room
 from .overlays import OVERLAYS, draw_divider, draw_spinner, preview_side
 
 _OUTLINE = {"streak region": ImVec4(0.45, 0.85, 1.0, 0.9), "haze region": ImVec4(1.0, 0.8, 0.45, 0.9)}
@@ -35,10 +35,11 @@ def viewport_panel(
     folded: FoldedPanels,
 ) -> tuple[int, int]:
     """Draw the panel with what is `shown` of the last picture. Returns width and height of the next one in pixels."""
-    view_bar(editor)
+    view_bar(editor, imgui.get_content_region_avail().x - folded.width)
     size = imgui.get_content_region_avail()
     width, height = max(int(size.x - folded.width), 16), max(int(size.y), 16)
     corner = imgui.get_cursor_screen_pos()
+    edges = _draw_bars(editor, tools, corner, width, height)
     textures = [texture.glo for texture in shown]
     at = round(editor.viewport.options.divider * width) if len(textures) == 2 else 0
     if at > 0:
@@ -51,8 +52,7 @@ def viewport_panel(
     if len(panes) == 2:
         labels = panes[0].label, panes[1].label
     if labels is not None:
-        below = 1.7 * imgui.get_frame_height() if editor.viewport.options.tool else 0.0  # the bar of a tool
-        draw_divider(editor.viewport, labels, corner, width, height, below)
+        draw_divider(editor.viewport, labels, corner, width, height, edges.top)
         if len(textures) < len(panes):  # the last picture is on both sides
             draw_spinner(ImVec2(corner.x + editor.viewport.options.divider * width / 2, corner.y + height / 2))
     imgui.set_cursor_screen_pos(corner)
@@ -60,10 +60,10 @@ def viewport_panel(
     flags = imgui.ButtonFlags_.mouse_button_left | imgui.ButtonFlags_.mouse_button_right
     imgui.invisible_button("view", ImVec2(width, height), flags | imgui.ButtonFlags_.mouse_button_middle)
     hovered, active = imgui.is_item_hovered(), imgui.is_item_active()
-    canvas = Canvas(corner, width, height, editor.viewport.canvas_view(width, height), hovered, active)
+    canvas = Canvas(corner, width, height, editor.viewport.canvas_view(width, height), hovered, active, edges)
     imgui.get_window_draw_list().push_clip_rect(corner, ImVec2(corner.x + width, corner.y + height), True)
     use_button = [bind_parts(overlay, editor, canvas=canvas)() for overlay in OVERLAYS]
-    tool = next((each for each in tools if each.name == editor.viewport.options.tool), None)
+    tool = _active_tool(editor.viewport, tools)
     uses_button = any(use_button) or (tool is not None and tool.draw(canvas))
     for name, lines_px in region_outlines(
         editor.viewport, editor.rollouts.displayed_scene, editor.live_rain.displayed, width, height
@@ -72,18 +72,34 @@ def viewport_panel(
     imgui.get_window_draw_list().pop_clip_rect()
     _navigate_by_mouse(editor.viewport, canvas, uses_button)
     _navigate_by_keys(editor.viewport)
-    left = tool_bar(editor.viewport, corner, height)
-    options_end = tool_options(tool, corner, left, width)
+    draw_notices(editor, canvas)
+    folded.draw(ImVec2(corner.x + width, corner.y), height)
+    return width, height
+
+
+def _active_tool(viewport: ViewportState, tools: Sequence[Tool]) -> Tool | None:
+    return next((each for each in tools if each.name == viewport.options.tool), None)
+
+
+_MAX_BARS = 0.45  # height of the bars at the upper edge, as a share of the viewport's
+
+
+def _draw_bars(editor: Editor, tools: Sequence[Tool], corner: ImVec2, width: int, height: int) -> FreeEdges:
+    """Draw bars and cards at the edges of the viewport; returns the room that they leave."""
+    edges = FreeEdges(left=tool_bar(editor.viewport, corner, height))
+    tool = _active_tool(editor.viewport, tools)
+    if tool is not None:
+        edges.top = tool_options(tool, corner, edges.left, width, _MAX_BARS * height)
     if not editor.document.scene.members and editor.busy is None:
         draw_start_card(editor, corner, width, height)
     elif editor.scene_setup.is_open:
-        draw_setup_bar(editor, corner, left, width, options_end)
-    taken = draw_update(editor, corner, left, height)
-    if editor.preferences.value.hint:
-        taken = draw_hint(editor, corner, left, height)
-    draw_notices(editor, corner, left, taken, width, height)
-    folded.draw(ImVec2(corner.x + width, corner.y), height)
-    return width, height
+        top = edges.top or _MARGIN
+        room = _MAX_BARS * height - top
+        if tool is None or room > 2 * imgui.get_frame_height():  # else it waits until the tool is left
+            edges.top = draw_setup_bar(editor, corner, edges.left, width, top, room)
+    draw_corner_card(editor, corner, edges, width, height)
+    edges.max_bottom = height / 2 - EDGE_MARGIN - notice_room(editor)[1]
+    return edges
 
 
 _RADIANS_PER_PIXEL = 0.005
@@ -143,30 +159,51 @@ def _navigate_by_keys(viewport: ViewportState) -> None:
 
 # Bars: tools, settings of the active tool, and view options
 
-_GAP = 3.0
-_PADDING = 8.0
+_GAP, _MARGIN, _PADDING = 3.0, 8.0, 8.0
+_MAX_COLUMNS, _MENU_COLUMNS = 2, 4  # of tools over the view; where more are needed, a button opens them as a menu
 
 
 def tool_bar(viewport: ViewportState, corner: ImVec2, height: float) -> float:
     """Draw the bar over the viewport; a click activates a tool or deactivates it. Returns its right edge."""
     side = 1.9 * imgui.get_font_size()
     columns = -(-(len(TOOLS) + 1) // max(int((height - 24) / (side + _GAP)), 1))
-    imgui.set_cursor_screen_pos(ImVec2(corner.x + 8, corner.y + 8))
+    imgui.set_cursor_screen_pos(ImVec2(corner.x + _MARGIN, corner.y + _MARGIN))
     imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(4, 4))
     imgui.push_style_var(imgui.StyleVar_.item_spacing, ImVec2(_GAP, _GAP))
     with card("tools", 0, imgui.Col_.window_bg, 0.82, imgui.ChildFlags_.auto_resize_x):
-        if _tool_button(icons.ICON_FA_ARROW_POINTER, "Navigate", viewport.options.tool == "", side):
-            viewport.options.tool = ""
-        imgui.set_item_tooltip("Navigate: the left button orbits (Esc).")
-        for number, tool in enumerate(TOOLS, start=1):
-            if number % columns:
-                imgui.same_line()
-            if _tool_button(tool.icon, tool.name, viewport.options.tool == tool.name, side):
-                viewport.options.tool = "" if viewport.options.tool == tool.name else tool.name
-            key = f" ({chord_name(int(tool.key))})" if tool.key is not None else ""
-            imgui.set_item_tooltip(f"{tool.name}{key}: {tool.help}")
+        if columns <= _MAX_COLUMNS:
+            _tool_buttons(viewport, columns, side)
+        else:
+            columns = 1
+            icon = next((tool.icon for tool in TOOLS if tool.name == viewport.options.tool), _NAVIGATE)
+            if imgui.button(f"{icon}###tools", ImVec2(side, side)):
+                imgui.open_popup("tools")
+            imgui.set_item_tooltip("Tools: what a left drag and a click in the view do.")
+            if imgui.begin_popup("tools"):
+                if _tool_buttons(viewport, _MENU_COLUMNS, side):
+                    imgui.close_current_popup()
+                imgui.end_popup()
     imgui.pop_style_var(2)
-    return 8 + columns * (side + _GAP) + 8
+    return _MARGIN + columns * (side + _GAP) + _MARGIN
+
+
+_NAVIGATE = icons.ICON_FA_ARROW_POINTER
+
+
+def _tool_buttons(viewport: ViewportState, columns: int, side: float) -> bool:
+    """Draw the button of each tool; returns True if one is clicked."""
+    before = viewport.options.tool
+    if is_chosen := _tool_button(_NAVIGATE, "Navigate", before == "", side):
+        viewport.options.tool = ""
+    imgui.set_item_tooltip("Navigate: the left button orbits (Esc).")
+    for number, tool in enumerate(TOOLS, start=1):
+        if number % columns:
+            imgui.same_line()
+        if _tool_button(tool.icon, tool.name, before == tool.name, side):
+            viewport.options.tool, is_chosen = "" if before == tool.name else tool.name, True
+        key = f" ({chord_name(int(tool.key))})" if tool.key is not None else ""
+        imgui.set_item_tooltip(f"{tool.name}{key}: {tool.help}")
+    return is_chosen
 
 
 def _tool_button(icon: str, name: str, is_on: bool, side: float) -> bool:
@@ -177,20 +214,22 @@ def _tool_button(icon: str, name: str, is_on: bool, side: float) -> bool:
     return clicked
 
 
-def tool_options(tool: Tool | None, corner: ImVec2, left: float, width: float) -> float:
-    """Draw the bar of the active tool over the viewport, starting at `left`, as wide as its content.
+def tool_options(tool: Tool, corner: ImVec2, left: float, width: float, max_height: float) -> float:
+    """Draw the bar of the active tool over the viewport, from `left` on; returns the distance of its end from the top.
 
-    Its rows break at the viewport's edge; what is right of it can be seen and dragged. Returns the distance of its end,
-    at least that of a bar of one row, from the upper edge.
+    It is as wide as its content, so that what is right of it can be seen and dragged; its rows break at the viewport's
+    edge. In a small view it scrolls.
     """
-    one_row = 8 + 1.7 * imgui.get_frame_height()
-    if tool is None:
-        return one_row
-    imgui.set_cursor_screen_pos(ImVec2(corner.x + left, corner.y + 8))
+    imgui.set_cursor_screen_pos(ImVec2(corner.x + left, corner.y + _MARGIN))
     imgui.push_style_var(imgui.StyleVar_.window_padding, ImVec2(_PADDING, 5))
-    room, widths, key = max(width - left - 8, 50), imgui.get_state_storage(), imgui.get_id(f"width of {tool.name}")
-    imgui.set_next_window_content_size(ImVec2(room - 2 * _PADDING, 0))  # where rows break
-    with card("tool options", min(widths.get_float(key, room), room), imgui.Col_.window_bg, 0.82):
+    widths, key = imgui.get_state_storage(), imgui.get_id(f"width of {tool.name}")
+    room = max(width - left - _MARGIN, 50)
+    wide = widths.get_float(key, room)
+    scrolls = imgui.WindowFlags_.horizontal_scrollbar if wide > room else imgui.WindowFlags_.none
+    if wide <= room:
+        imgui.set_next_window_content_size(ImVec2(room - 2 * _PADDING, 0))  # where rows break
+    high = max_height - _MARGIN - _GAP
+    with card("tool options", min(wide, room), imgui.Col_.window_bg, 0.82, window_flags=scrolls, max_height=high):
         imgui.begin_group()
         imgui.align_text_to_frame_padding()
         imgui.text(tool.name)
@@ -200,10 +239,12 @@ def tool_options(tool: Tool | None, corner: ImVec2, left: float, width: float) -
         imgui.end_group()
         widths.set_float(key, imgui.get_item_rect_size().x + 2 * _PADDING)
     imgui.pop_style_var()
-    return max(one_row, 8 + imgui.get_item_rect_size().y + _GAP)
+    return _MARGIN + imgui.get_item_rect_size().y + _GAP
 
 
-def view_bar(editor: Editor) -> None:
+def view_bar(editor: Editor, width: float) -> None:
+    """Draw the bar above the viewport, so many pixels wide; what has no room there is in the menu View."""
+    right = imgui.get_cursor_screen_pos().x + width
     clock, viewport = editor.playback.clock, editor.viewport
     frame_help = "Move back until the selection, else the chosen layers and actors, else the scene is visible (F)."
     for icon, name, help_text, act in (
@@ -221,11 +262,14 @@ def view_bar(editor: Editor) -> None:
     imgui.set_item_tooltip(
         "Follow the camera path: your own keyframes, else the recording vehicle's drive, or a swing (V)."
     )
-    imgui.same_line()
     for field, title, choices, width_em, help_text in (
         ("look", "Mode", RENDER_MODE_HELP, 9, "Render mode of the viewport."),
         ("split", "Compare", SPLIT_HELP, 11, "Compare two images side by side."),
     ):
+        imgui.same_line()
+        if imgui.get_cursor_screen_pos().x + width_em * imgui.get_font_size() > right:
+            imgui.new_line()
+            return
         imgui.set_next_item_width(width_em * imgui.get_font_size())
         present = getattr(editor.viewport.options, field)
         if imgui.begin_combo(f"##{field}", f"{title}: {present}"):
@@ -236,7 +280,7 @@ def view_bar(editor: Editor) -> None:
             imgui.end_combo()
         else:
             imgui.set_item_tooltip(f"{help_text}\n{choices[present]}")
-        imgui.same_line()
+    imgui.same_line()
     words = f"{editor.playback.clock.time_s:.2f} s   Fly speed {editor.viewport.navigation.speed_m_s:.3g} m/s"
     if imgui.calc_text_size(words).x < imgui.get_content_region_avail().x:
         imgui.text_disabled(words)

@@ -1,8 +1,9 @@
 """Drawing: colors, the viewport's coordinates, plots, and the transform gizmo."""
 
+import math
 from collections.abc import Generator, Iterable, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from imgui_bundle import ImVec2, ImVec4, imgui, imguizmo, implot
@@ -34,8 +35,11 @@ STRIPE = int(imgui.Col_.table_row_bg_alt)
 TEXT = int(imgui.Col_.text)
 WHITE: Rgba = (1.0, 1.0, 1.0, 1.0)
 YELLOW: Rgba = (1.0, 0.85, 0.25, 1.0)
-_SHADOW: Rgba = (0.0, 0.0, 0.0, 0.6)
+_SHADOW: Rgba = (0.0, 0.0, 0.0, 0.65)
 _SMALLEST_M = 0.01
+EDGE_MARGIN = 10.0
+"""Pixels between the edge of the viewport and what lies there."""
+_LINE_GAP = 4.0
 
 
 def color(value: Color) -> int:
@@ -44,6 +48,29 @@ def color(value: Color) -> int:
 
 
 # Viewport coordinates
+
+
+@dataclass
+class FreeEdges:
+    """Room that is left at the edges of the viewport in this frame, in pixels: what is placed there takes its part."""
+
+    top: float = 0.0
+    """Height of the bars at the upper edge."""
+    left: float = 0.0
+    """Width of the bar or card at the left end of the lower edge."""
+    right: float = 0.0
+    """Width of the blocks in the lower right corner."""
+    corner: float = 0.0
+    """Height of these blocks."""
+    lines: float = 0.0
+    """Height of the lines of text at the lower edge."""
+    max_bottom: float = math.inf
+    """Maximum of both heights, by which the middle of the viewport and notices have room."""
+
+    @property
+    def bottom(self) -> float:
+        """Height that all of the lower edge takes, right of its left end."""
+        return max(self.corner, self.lines)
 
 
 @dataclass(frozen=True)
@@ -60,6 +87,7 @@ class Canvas:
     """True if the mouse is over the viewport, with nothing on top."""
     active: bool
     """True while a mouse button that was pressed over the viewport is held."""
+    edges: FreeEdges = field(default_factory=FreeEdges)
 
     @property
     def mouse_px(self) -> tuple[float, float]:
@@ -73,6 +101,13 @@ class Canvas:
 
     def on_screen(self, x: float, y: float) -> ImVec2:
         return ImVec2(self.corner.x + x, self.corner.y + y)
+
+    def corner_block(self, width: float, height: float) -> tuple[float, float]:
+        """Return the upper left pixel of a block in the lower right corner, above those that are there already."""
+        edges = self.edges
+        edges.corner += height + EDGE_MARGIN
+        edges.right = max(edges.right, width + EDGE_MARGIN)
+        return self.width - width - EDGE_MARGIN, self.height - edges.corner
 
     def ray(self, x: float, y: float) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3"]]:
         """Return camera position and unit direction, in the world, of the ray through a pixel."""
@@ -119,10 +154,22 @@ def draw_words(canvas: Canvas, point_m: Float64[np.ndarray, "3"], words: str) ->
         draw_card(words, ImVec2(at.x + 10, at.y - 0.5 * imgui.get_font_size()))
 
 
-def draw_hint(canvas: Canvas, words: str) -> None:
-    """Draw a tool's hint at the lower edge of the viewport."""
-    size = imgui.calc_text_size(words)
-    draw_card(words, canvas.on_screen((canvas.width - size.x) / 2, canvas.height - 2.2 * size.y))
+def draw_hint(canvas: Canvas, words: str, ink: Color = (1.0, 1.0, 1.0, 0.95)) -> None:
+    """Draw text in the middle of the room at the lower edge of the viewport, above earlier ones of this frame.
+
+    Nothing in a viewport that is too small for it.
+    """
+    edges, em = canvas.edges, imgui.get_font_size()
+    x, y = 0.7 * em, 0.25 * em
+    left, right = edges.left + EDGE_MARGIN + x, canvas.width - edges.right - EDGE_MARGIN - x
+    wrap_px = max(right - left, 6 * em)
+    size = imgui.calc_text_size(words, False, wrap_px)
+    lines = edges.lines + size.y + 2 * y + (EDGE_MARGIN if edges.lines == 0 else _LINE_GAP)
+    if lines > edges.max_bottom:
+        return
+    edges.lines = lines
+    at = canvas.on_screen(max(left, (left + right - size.x) / 2), canvas.height - edges.lines + y)
+    draw_card(words, at, ink, padding=(x, y), rounding=5.0, wrap_px=wrap_px)
 
 
 def draw_dot(
@@ -163,12 +210,13 @@ def draw_card(
     paper: Color = _SHADOW,
     padding: tuple[float, float] = (6, 3),
     rounding: float = 4.0,
+    wrap_px: float = 0.0,
 ) -> None:
-    """Draw text on a card; `at` is the text's upper left corner on the screen."""
-    size, draw, (x, y) = imgui.calc_text_size(words), imgui.get_window_draw_list(), padding
+    """Draw text on a card; `at` is the text's upper left corner on the screen, `wrap_px` the width of its lines."""
+    size, draw, (x, y) = imgui.calc_text_size(words, False, wrap_px or -1), imgui.get_window_draw_list(), padding
     low, high = ImVec2(at.x - x, at.y - y), ImVec2(at.x + size.x + x, at.y + size.y + y)
     draw.add_rect_filled(low, high, color(paper), rounding)
-    draw.add_text(at, color(ink), words)
+    draw.add_text(imgui.get_font(), imgui.get_font_size(), at, color(ink), words, wrap_px)
 
 
 def draw_image(texture: Texture | None, low: ImVec2, high: ImVec2) -> None:

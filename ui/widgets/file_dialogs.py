@@ -21,6 +21,7 @@ from gsrain_engine.scene.formats.registry import writable_suffixes
 from gsrain_engine.scene.formats.scene_folder import SCENE_FILE
 
 from .fields import keyframe_button_width, plain_label, square_button, warn
+from .popups import place_dialog
 from .text import label
 
 Answer = Callable[[list[Path]], None]
@@ -132,6 +133,9 @@ def is_file_dialog_open() -> bool:
 def desktop_dialog_program() -> str | None:
     """Name of the program that shows the desktop's file dialogs; None where there is none."""
     return next((name for name in ("zenity", "kdialog", "matedialog", "qarma") if shutil.which(name)), None)
+
+
+_MIN_LIST_EM, _MIN_DETAILS_EM = 7.0, 24.0  # height of the lists, and width with places, or with sizes and dates
 
 
 class _FileDialogs:
@@ -307,10 +311,7 @@ class FileBrowser:
         title, em = self._request.title, imgui.get_font_size()
         if not imgui.is_popup_open(title):
             imgui.open_popup(title)
-        screen = imgui.get_main_viewport()
-        size = ImVec2(min(56 * em, 0.94 * screen.size.x), min(34 * em, 0.9 * screen.size.y))
-        imgui.set_next_window_size(size, imgui.Cond_.appearing)
-        imgui.set_next_window_pos(screen.get_center(), imgui.Cond_.appearing, ImVec2(0.5, 0.5))
+        place_dialog(56, 34, imgui.Cond_.appearing)
         is_shown, stays = imgui.begin_popup_modal(title, True, imgui.WindowFlags_.no_saved_settings)
         if not is_shown:
             return None if stays is not False else []
@@ -318,11 +319,13 @@ class FileBrowser:
         self._draw_place()
         below = 2 * imgui.get_frame_height_with_spacing() + imgui.get_style().item_spacing.y
         below += imgui.get_frame_height_with_spacing() if self._problem or self._replaced is not None else 0
-        if imgui.begin_child("places", ImVec2(min(12 * em, 0.25 * imgui.get_window_width()), -below)):
-            self._draw_places()
-        imgui.end_child()
-        imgui.same_line()
-        answer = self._draw_list(rows, below)
+        tall = max(imgui.get_content_region_avail().y - below, _MIN_LIST_EM * em)
+        if imgui.get_content_region_avail().x > _MIN_DETAILS_EM * em:
+            if imgui.begin_child("places", ImVec2(min(12 * em, 0.25 * imgui.get_window_width()), tall)):
+                self._draw_places()
+            imgui.end_child()
+            imgui.same_line()
+        answer = self._draw_list(rows, tall)
         answer = self._draw_name(rows) or answer
         buttons = self._draw_buttons(rows)
         answer = buttons if buttons is not None else answer
@@ -397,17 +400,19 @@ class FileBrowser:
         if changed:
             self._line = -1
 
-    def _draw_list(self, rows: Sequence[Entry], below: float) -> list[Path] | None:
-        """Draw the table of entries; returns paths if one is double-clicked."""
+    def _draw_list(self, rows: Sequence[Entry], tall: float) -> list[Path] | None:
+        """Draw the table of entries, in a narrow dialog only their names; returns paths if one is double-clicked."""
+        has_details = imgui.get_content_region_avail().x > _MIN_DETAILS_EM * imgui.get_font_size()
         flags = imgui.TableFlags_.sortable | imgui.TableFlags_.scroll_y | imgui.TableFlags_.row_bg
         flags |= imgui.TableFlags_.resizable | imgui.TableFlags_.borders_outer
-        if not imgui.begin_table("entries", 3, flags, ImVec2(0, -below)):
+        if not imgui.begin_table(*(("entries", 3) if has_details else ("names", 1)), flags, ImVec2(0, tall)):
             return None
         em, fixed = imgui.get_font_size(), imgui.TableColumnFlags_.width_fixed
         imgui.table_setup_scroll_freeze(0, 1)
         imgui.table_setup_column("Name", imgui.TableColumnFlags_.width_stretch | imgui.TableColumnFlags_.default_sort)
-        imgui.table_setup_column("Size", fixed, 5.5 * em)
-        imgui.table_setup_column("Modified", fixed, 9.5 * em)
+        if has_details:
+            imgui.table_setup_column("Size", fixed, 5.5 * em)
+            imgui.table_setup_column("Modified", fixed, 9.5 * em)
         imgui.table_headers_row()
         specs = imgui.table_get_sort_specs()
         if specs.specs_dirty and specs.specs_count:
@@ -419,7 +424,7 @@ class FileBrowser:
         clipper.begin(len(rows))
         while clipper.step():
             for n in range(clipper.display_start, clipper.display_end):
-                answer = self._draw_row(rows, n) or answer
+                answer = self._draw_row(rows, n, has_details) or answer
         if not rows:
             imgui.table_next_row()
             imgui.table_next_column()
@@ -428,7 +433,7 @@ class FileBrowser:
         imgui.end_table()
         return answer
 
-    def _draw_row(self, rows: Sequence[Entry], n: int) -> list[Path] | None:
+    def _draw_row(self, rows: Sequence[Entry], n: int, has_details: bool) -> list[Path] | None:
         entry = rows[n]
         icons = icons_fontawesome_6
         icon = icons.ICON_FA_CUBE if entry.is_scene else icons.ICON_FA_FOLDER if entry.is_folder else icons.ICON_FA_FILE
@@ -444,6 +449,8 @@ class FileBrowser:
             self._choose(entry, n, adds=self._request.several and imgui.get_io().key_ctrl)
             if imgui.is_mouse_double_clicked(imgui.MouseButton_.left):
                 answer = self._accept_entry(entry)
+        if not has_details:
+            return answer
         imgui.table_next_column()
         imgui.text_disabled("" if entry.is_folder else size_text(entry.size))
         imgui.table_next_column()
@@ -456,7 +463,7 @@ class FileBrowser:
         imgui.align_text_to_frame_padding()
         imgui.text("File name" if self._request.kinds else "Folder")
         imgui.same_line()
-        imgui.set_next_item_width(-16 * em if self._request.kinds else -1)
+        imgui.set_next_item_width(-min(16 * em, imgui.get_content_region_avail().x / 2) if self._request.kinds else -1)
         if self._focus_name:
             imgui.set_keyboard_focus_here()
             self._focus_name = False
@@ -501,7 +508,8 @@ class FileBrowser:
             warn(self._problem)
         labels = ("Replace" if self._replaced is not None else self._verb, "Cancel")
         spacing = imgui.get_style().item_spacing.x
-        imgui.set_cursor_pos_x(max(0.0, imgui.get_window_width() - 2 * (7 * em + spacing)))
+        room = imgui.get_content_region_avail().x - (2 * 7 * em + spacing)
+        imgui.set_cursor_pos_x(imgui.get_cursor_pos_x() + max(0.0, room))
         if imgui.button(labels[0], ImVec2(7 * em, 0)):
             if self._replaced is not None:
                 return [self._replaced]

@@ -46,7 +46,7 @@ _HIDDEN = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202
 
 _DRAWING = (
     "text", "text_wrapped", "text_disabled", "text_colored", "text_unformatted", "bullet_text", "label_text",
-    "text_link", "set_tooltip", "set_item_tooltip", "separator_text", "progress_bar", "calc_text_size",
+    "text_link", "separator_text", "progress_bar", "calc_text_size",
     "button", "small_button", "checkbox", "radio_button", "selectable", "menu_item", "begin_menu", "tree_node",
     "tree_node_ex", "collapsing_header", "begin_combo", "combo", "list_box", "input_text", "input_text_with_hint",
     "begin_tab_item", "begin_table", "table_setup_column", "begin_child", "begin_popup", "begin_popup_modal",
@@ -56,9 +56,6 @@ _DRAWING = (
 
 _ONLY_WORDS = ("separator_text", "progress_bar")
 """Functions whose text has no identity, but which still hide text after ##."""
-
-_TOOLTIPS = ("set_tooltip", "set_item_tooltip")
-"""Functions whose text names keys."""
 
 
 def shortened(words: str, width_px: float) -> str:
@@ -92,8 +89,7 @@ def escape_all_text() -> None:
     for name in _DRAWING:
         function = getattr(imgui, name)
         if not hasattr(function, "__wrapped__"):
-            words = _all_words if name in _ONLY_WORDS else key_names if name in _TOOLTIPS else None
-            setattr(imgui, name, _escaping(function, words))
+            setattr(imgui, name, _escaping(function, _all_words if name in _ONLY_WORDS else None))
     if not hasattr(imgui.ImDrawList.add_text, "__wrapped__"):
         imgui.ImDrawList.add_text = _escaping(imgui.ImDrawList.add_text)
 
