@@ -69,7 +69,7 @@ def _picture(panel: Panel) -> str:
 
 
 def _described(panel: Panel) -> str:
-    return f"**{panel.title}.** {panel.help}{f' [More]({panel.page})' if panel.page else ''}"
+    return f"**{panel.title}.** {panel.help} [More]({panel.page})"
 
 
 PAGES: dict[str, Callable[[], str]] = {

@@ -21,6 +21,7 @@ from gsrain_engine.editor.views import NamedViews
 from .commands.keys import chord_name, chords_of
 from .commands.table import COMMANDS, VIEW_KEYS, all_commands, help_of
 from .folding import bring_to_front, panel_windows
+from .panels.registry import all_panels
 from .panels.views import name_field, view_options
 from .tools import TOOLS
 from .widgets.fields import LOGARITHMIC, button
@@ -367,4 +368,7 @@ def _rows(editor: Editor) -> list[_PaletteRow]:
     for window in panel_windows():
         show = partial(bring_to_front, window)
         rows.append(_PaletteRow(f"Panel: {window.label.partition('###')[0]}", "", "Bring it to the front.", True, show))
+    for panel in all_panels():
+        show = partial(setattr, editor.viewport.options, "guide", panel.page)
+        rows.append(_PaletteRow(f"Help: {panel.title}", "", "Open its page of the guide.", True, show))
     return rows

@@ -15,7 +15,7 @@ from .commands.table import COMMANDS, VIEW_KEYS, Command, all_command_groups
 from .folding import bring_to_front, panel_windows
 from .panels.jobs import job_tray, tray_width
 from .tools import TOOLS
-from .widgets.fields import WARNING
+from .widgets.fields import warning_color
 from .widgets.text import key_names, label, shortened
 from .widgets.type_ahead import has_keys
 
@@ -164,7 +164,7 @@ def status_bar(editor: Editor) -> None:
         None, ["beyond calibration" if state.beyond_calibration else "", editor.document.rain.exaggeration]
     ):
         imgui.same_line()
-        imgui.text_colored(WARNING, warning)
+        imgui.text_colored(warning_color(), warning)
     if editor.busy is not None:
         imgui.same_line()
         imgui.text(f"  {editor.busy}")

@@ -200,10 +200,10 @@ class MainWindow:
         # The dock space would fill itself with the color that the window is cleared to (`apply_style`).
         parameters.docking_params.main_dock_space_node_flags &= ~imgui.DockNodeFlags_.passthru_central_node
         parameters.docking_params.docking_splits = [
-            hello_imgui.DockingSplit("MainDockSpace", "RightSpace", imgui.Dir.right, 0.28),
+            hello_imgui.DockingSplit("MainDockSpace", "RightSpace", imgui.Dir.right, 0.29),
             hello_imgui.DockingSplit("RightSpace", "RightBottomSpace", imgui.Dir.down, 0.3),
             hello_imgui.DockingSplit("MainDockSpace", "BottomSpace", imgui.Dir.down, 0.24),
-            hello_imgui.DockingSplit("MainDockSpace", "LeftSpace", imgui.Dir.left, 0.25),
+            hello_imgui.DockingSplit("MainDockSpace", "LeftSpace", imgui.Dir.left, 0.275),
             hello_imgui.DockingSplit("LeftSpace", "LeftBottomSpace", imgui.Dir.down, 0.5),
         ]
         viewport = hello_imgui.DockableWindow("View", "MainDockSpace", self._guarded(self._draw_viewport))
@@ -634,6 +634,8 @@ _STYLE_SIZES = tuple(
     for name in dir(_DEFAULT_STYLE)
     if not name.startswith(("_", "font")) and isinstance(getattr(_DEFAULT_STYLE, name), float | ImVec2)
 )
+_FAINT_GRAYS = {"dark": 0.62, "light": 0.34}  # of faint words, which the themes would make too faint to be read
+_DARKER = 0.85
 _MIN_TAB_PX = 30.0  # tabs shrink to this width in a narrow window before they scroll
 
 
@@ -652,10 +654,17 @@ def apply_style(preferences: Preferences, scale: float = 1.0) -> None:
     style.tab_min_width_shrink = _MIN_TAB_PX
     style.docking_node_has_close_button = False
     style.item_spacing = ImVec2(8, 5)
-    style.frame_padding = ImVec2(7, 4)
+    style.frame_padding = ImVec2(6, 4)
+    style.item_inner_spacing = ImVec2(4, 4)
     style.scale_all_sizes(preferences.ui_scale * scale)
     style.font_scale_main = preferences.font_scale
     style.font_scale_dpi = for_screen
+    if preferences.theme == "dark":  # white on the theme's own could hardly be read
+        for part in (imgui.Col_.frame_bg_hovered, imgui.Col_.header_hovered):
+            color = style.color_(part)
+            style.set_color_(part, (*(_DARKER * each for each in (color.x, color.y, color.z)), color.w))
+    gray = _FAINT_GRAYS[preferences.theme]
+    style.set_color_(imgui.Col_.text_disabled, (gray, gray, gray, 1.0))
     style.set_color_(imgui.Col_.modal_window_dim_bg, (0.0, 0.0, 0.0, 0.45))  # the dark theme would brighten it
     hello_imgui.get_runner_params().imgui_window_params.background_color = style.color_(imgui.Col_.window_bg)
     color = style.color_(imgui.Col_.popup_bg)

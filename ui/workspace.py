@@ -11,14 +11,14 @@ from gsrain_engine.editor.drawing.live_view import WindowBackend
 from gsrain_engine.editor.drawing.picture_thread import PictureContext, PictureThread
 from gsrain_engine.editor.drawing.textures import CachedTexture, CaptureTextures, JobPreviews, ViewPictures
 from gsrain_engine.editor.editor import Editor
-from gsrain_engine.editor.guide import PANELS_PAGE, VIEW_PAGE
+from gsrain_engine.editor.guide import VIEW_PAGE
 from gsrain_engine.editor.jobs.make_rainy import PREVIEW_PICTURES
 from gsrain_engine.render.opengl.context import DeviceLostError, is_software
 from gsrain_engine.render.opengl.warp import PictureWarp, can_warp
 
 from .dialogs import CommandPalette, about_page, draw_questions, keyboard_page, news_page, save_view_page, series_page
 from .folding import FoldedPanels, panel_windows, show_panel
-from .guide import draw_guide
+from .guide import draw_guide, draw_guide_mark
 from .panels.registry import Panel, all_panels
 from .parts import bind_parts
 from .shell import act_on_keys, draw_menus, status_bar
@@ -95,7 +95,8 @@ class Workspace:
         def draw_and_note() -> None:
             self._drawn.add(panel.title)
             if imgui.is_window_focused(imgui.FocusedFlags_.root_and_child_windows):
-                self.editor.viewport.options.guide_of_focus = panel.page or PANELS_PAGE
+                self.editor.viewport.options.guide_of_focus = panel.page
+            draw_guide_mark(self.editor.viewport, panel.title, panel.page)
             imgui.push_text_wrap_pos(0.0)  # no words are cut at the panel's edge
             draw()
             imgui.pop_text_wrap_pos()

@@ -26,6 +26,11 @@ class Block(NamedTuple):
     level: int = 0
     """Depth of a heading, from 1 on, or of a list's item, from 0 on."""
 
+    @property
+    def anchor(self) -> str:
+        """Name of a heading in links, after #."""
+        return re.sub(r"[-\s]+", "-", re.sub(r"[^\w\s-]", "", self.text).strip().lower())
+
 
 @cache
 def guide_pages() -> dict[str, str]:

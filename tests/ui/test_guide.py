@@ -1,8 +1,10 @@
 """The guide in the window: its pages, and the one that each panel leads to."""
 
+import re
+
 import pytest
 
-from gsrain_engine.editor.guide import FIRST_PAGE, PANELS_PAGE, blocks_of, guide_page, guide_pages
+from gsrain_engine.editor.guide import FIRST_PAGE, blocks_of, guide_page, guide_pages
 from ui.commands.keys import chord
 from ui.panels.registry import BUILT_IN_PANELS
 from window_driver import imgui
@@ -47,15 +49,35 @@ def test_every_page_has_a_title_and_leaves_no_marks(page):
     assert len(words) > 5 and not [each for each in words if "](" in each or "**" in each or "`" in each]
 
 
+@pytest.mark.parametrize("panel", BUILT_IN_PANELS, ids=lambda panel: panel.title)
+def test_the_page_and_the_heading_of_each_panel_exist(panel):
+    page, _, anchor = panel.page.partition("#")
+    assert page in guide_pages()
+    assert not anchor or anchor in [each.anchor for each in guide_page(page) if each.kind == "heading"]
+    assert any(re.search(rf"\b{panel.title}\b", each.text, re.IGNORECASE) for each in guide_page(page))
+
+
 def test_each_panel_leads_to_its_page_and_the_window_lists_all(driver):
     options = driver.editor.viewport.options
-    assert options.guide == "" and options.guide_of_focus in guide_pages()
-    for title, page in {each.title: each.page or PANELS_PAGE for each in BUILT_IN_PANELS}.items():
+    assert options.guide == "" and options.guide_of_focus.partition("#")[0] in guide_pages()
+    for title, page in {each.title: each.page for each in BUILT_IN_PANELS}.items():
         driver.panel(title)
         driver.press(GUIDE)
         assert options.guide == page and driver.is_open("Guide"), title
         options.guide = ""
         driver.frames()
+    driver.panel("Record")
+    driver.tap("//**/###guide Record")
+    assert options.guide == "timeline_and_recording.md#recording"
+    scrolled = [each.scroll.y for each in imgui.get_current_context().windows if each.name.startswith("Guide/page")]
+    assert max(scrolled) > 100  # at its heading
+    driver.ctx.window_close("//Guide")
+    driver.press(chord(KEY.mod_ctrl, KEY.p))
+    driver.ctx.key_chars("help: wet look")
+    driver.press(KEY.enter)
+    assert options.guide == "wet_colors.md#wet-look"
+    options.guide = ""
+    driver.frames()
     driver.menu("Help/Guide")
     assert driver.is_open("Guide")
     driver.choose("//Guide/##page", guide_pages()[FIRST_PAGE])

@@ -53,8 +53,8 @@ def drag_side(driver, to_share):
 def test_docks_of_the_first_window_have_their_default_shares(windows, size_px, dpi_scale):
     def look(driver):
         shares = shares_of(driver)
-        assert shares["Rain"][0] == pytest.approx(0.28, abs=0.01)
-        assert shares["Layers"][0] == pytest.approx(0.72 * 0.25, abs=0.01)
+        assert shares["Rain"][0] == pytest.approx(0.29, abs=0.01)
+        assert shares["Layers"][0] == pytest.approx(0.71 * 0.275, abs=0.01)
         assert shares["Timeline"] == pytest.approx((0.72, 0.23), abs=0.02)
 
     windows(size_px, dpi_scale, look)

@@ -80,6 +80,7 @@ def test_nothing_over_the_view_lies_on_anything_else_or_on_its_middle(driver, si
             wrong = meetings(rects), {each for each in cut if each[0] != "StatusBar"}  # which has a tooltip
             wrong += ({name for name, rect in rects.items() if rect.meets(middle)},)
             wrong += ({name for name, rect in rects.items() if not view.holds(rect) or rect.meets(strip)},)
+            wrong += (unreachable("View"),)
             found |= {(size, tool): wrong} if any(wrong) else {}
     assert found == {}
     assert {"hint", "problem", "ended 0", "ended 1", "set-up", "tool options", "tools"} <= most
@@ -106,7 +107,7 @@ DIALOGS = {
 
 
 def unreachable(title):
-    """Windows of a dialog with content that is neither visible nor to be scrolled to."""
+    """Windows of a dialog or panel with content that is neither visible nor to be scrolled to."""
     found = set()
     for each in imgui.get_current_context().windows:
         if each.active and not each.hidden and each.name.partition("/")[0] in (title, f"##Popup_{title}"):

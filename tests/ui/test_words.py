@@ -6,6 +6,7 @@ from msgspec.structs import replace
 from gsrain_engine.fields import short_number
 from gsrain_engine.scene.progress import figure_text
 from ui.panels.registry import BUILT_IN_PANELS
+from ui.widgets.fields import error_color, warning_color
 from ui.widgets.numbers import plain_form
 from ui.widgets.text import shortened
 from window_driver import imgui
@@ -66,3 +67,49 @@ def test_numbers_have_units_and_no_exponents():
     ]  # fmt: skip
     numbers = (0.0, 5e-5, 1234.56, 9999.4, 65960.123, 1e7)
     assert [plain_form(each) % each for each in numbers] == ["0", "0.00005000", "1235", "9999", "65960", "10000000"]
+
+
+GROUNDS = (
+    "window_bg", "popup_bg", "menu_bar_bg", "frame_bg", "frame_bg_hovered", "button", "button_hovered", "button_active",
+    "header", "header_hovered", "tab", "tab_selected", "tab_dimmed", "tab_dimmed_selected", "title_bg",
+    "title_bg_active", "table_header_bg", "table_row_bg_alt",
+)  # fmt: skip
+BELOW = {"text": GROUNDS, "text_disabled": ("window_bg", "popup_bg", "table_row_bg_alt", "title_bg", "title_bg_active")}
+"""Colors below words by their color; warnings and errors are on those of panels and cards."""
+
+
+def luminance(color):
+    """Relative luminance of WCAG 2.2 of a color from 0 to 1."""
+    linear = [each / 12.92 if each <= 0.04045 else ((each + 0.055) / 1.055) ** 2.4 for each in color]
+    return sum(weight * each for weight, each in zip((0.2126, 0.7152, 0.0722), linear, strict=True))
+
+
+def contrast(first, second):
+    low, high = sorted((luminance(first), luminance(second)))
+    return (high + 0.05) / (low + 0.05)
+
+
+@pytest.mark.parametrize("theme", ["dark", "light"])
+def test_words_have_the_contrast_of_wcag_aa(unopened, theme):
+    found = {}
+
+    def look():
+        preferences = unopened.editor.preferences
+        preferences.value = replace(preferences.value, theme=theme)
+        unopened.frames()
+        style = imgui.get_style()
+
+        def over(name, below):
+            color = style.color_(getattr(imgui.Col_, name))
+            return [color.w * a + (1 - color.w) * b for a, b in zip((color.x, color.y, color.z), below, strict=True)]
+
+        window = over("window_bg", (0.0, 0.0, 0.0))
+        inks = {"text": over("text", window), "text_disabled": over("text_disabled", window)}
+        inks |= {each.__name__: (each().x, each().y, each().z) for each in (warning_color, error_color)}
+        for ink, color in inks.items():
+            for ground in BELOW.get(ink, ("window_bg", "popup_bg")):
+                if (ratio := contrast(color, over(ground, window))) < 4.5:
+                    found[ink, ground] = round(ratio, 2)
+
+    unopened.run(look)
+    assert found == {}

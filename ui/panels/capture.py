@@ -11,7 +11,7 @@ from gsrain_engine.editor.viewport.options import Mode
 
 from ..commands.table import help_of
 from ..widgets.draw import DIM, TEXT, color, draw_image
-from ..widgets.fields import WARNING, button, checkbox, combo, disabled, text_color
+from ..widgets.fields import button, checkbox, combo, disabled, text_color, warning_color
 from ..widgets.file_dialogs import ask_what_to_open
 from ..widgets.numbers import slide
 from ..widgets.text import label
@@ -137,7 +137,7 @@ def _steps(captures: CaptureController, capture: Capture) -> None:
 def _problems(problems: list[str]) -> None:
     if not problems:
         return
-    with text_color(WARNING):
+    with text_color(warning_color()):
         is_open = imgui.tree_node(f"{len(problems)} {'problem' if len(problems) == 1 else 'problems'}###problems")
     if is_open:
         for problem in problems[:_MAX_PROBLEMS]:
@@ -180,7 +180,7 @@ def _row(captures: CaptureController, capture: Capture, index: int, height: floa
     draw.add_text(ImVec2(left, top), color(TEXT), view.name.rpartition("/")[2])
     moment = f"{view.time_s:.2f} s" if captures.has_times else f"{camera.width} x {camera.height} px"
     words = "unreadable" if fault is not None else f"{view.sensor}  {moment}" if view.sensor else moment
-    draw.add_text(ImVec2(left, top + 1.3 * line), color(WARNING) if fault else color(DIM), words)
+    draw.add_text(ImVec2(left, top + 1.3 * line), color(warning_color()) if fault else color(DIM), words)
 
 
 # Matching with another view

@@ -11,7 +11,7 @@ from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.render.opengl.buffers import Harmonics
 
 from ..commands.table import help_of
-from ..widgets.fields import WARNING, combo, disabled, edit_field, field_label, number, plain_label
+from ..widgets.fields import combo, disabled, edit_field, field_label, number, plain_label, warning_color
 from ..widgets.numbers import slide
 from ..widgets.text import readings
 
@@ -80,7 +80,7 @@ def statistics_panel(viewport: ViewportState) -> None:
     if viewport.detail.is_exact:
         imgui.text_disabled("full quality")
     else:
-        imgui.text_colored(WARNING, f"while something moves: {viewport.detail}")
+        imgui.text_colored(warning_color(), f"while something moves: {viewport.detail}")
     rows = [
         (
             f"{name[0].upper()}{name[1:]}".replace(" ms", " (ms)"),

@@ -4,7 +4,7 @@ import logging
 import webbrowser
 from typing import Any
 
-from imgui_bundle import ImVec2, ImVec4, imgui
+from imgui_bundle import ImVec2, imgui
 
 from gsrain_engine.editor.jobs.job import Job, JobRunner
 from gsrain_engine.editor.status import LogLine, StatusBus
@@ -13,7 +13,7 @@ from gsrain_engine.scene.progress import duration_text, figure_text
 
 from ..widgets.desktop import open_in_desktop
 from ..widgets.draw import line, plot
-from ..widgets.fields import WARNING, button, combo, faint, same_line_if_fits, warn
+from ..widgets.fields import button, combo, error_color, faint, same_line_if_fits, warn, warning_color
 from ..widgets.text import shortened, visible_name
 
 
@@ -66,7 +66,7 @@ def job_fields(viewport: ViewportState, jobs: JobRunner, job: Job[Any]) -> None:
             imgui.image(imgui.ImTextureRef(preview.name), ImVec2(width, width / aspect))
             imgui.set_item_tooltip("Latest result of the job.")
     elif job.state == "failed":
-        imgui.text_colored(WARNING, "Failed")
+        imgui.text_colored(warning_color(), "Failed")
         imgui.text_wrapped(job.error or "")
         if job.details and imgui.tree_node(f"Traceback##{number}"):
             imgui.text_unformatted(job.details)
@@ -91,7 +91,7 @@ def output_buttons(job: Job[Any]) -> None:
     assert job.output is not None
     if button("Open file###open output", str(job.output)):
         open_in_desktop(job.output)
-    imgui.same_line()
+    same_line_if_fits("Show in folder")
     if button("Show in folder###show output", str(job.output.parent)):
         open_in_desktop(job.output.parent)
 
@@ -165,7 +165,7 @@ def _fill_bar(fraction: float, words: str) -> None:
 
 # Log panel
 
-_COLORS = {logging.ERROR: ImVec4(0.95, 0.45, 0.38, 1.0), logging.WARNING: WARNING}
+_COLORS = {logging.ERROR: error_color, logging.WARNING: warning_color}
 _LEVELS = {logging.INFO: "all", logging.WARNING: "warnings", logging.ERROR: "errors"}
 
 
@@ -206,7 +206,7 @@ def _line(line: LogLine, number: int) -> None:
     color = next((color for level, color in _COLORS.items() if line.level >= level), None)
     imgui.push_text_wrap_pos(0.0)
     if color is not None:
-        imgui.text_colored(color, line.text)
+        imgui.text_colored(color(), line.text)
     else:
         imgui.text_unformatted(line.text)
     imgui.pop_text_wrap_pos()

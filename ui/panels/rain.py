@@ -30,7 +30,6 @@ from ..commands.table import INTENSITIES_MM_H, intensity_command, set_intensity
 from ..widgets import fields
 from ..widgets.fields import (
     LOGARITHMIC,
-    WARNING,
     button,
     checkbox,
     disabled,
@@ -41,6 +40,7 @@ from ..widgets.fields import (
     share_of_width,
     tint_keyframed,
     warn,
+    warning_color,
 )
 from ..widgets.file_dialogs import ask_what_to_open
 from ..widgets.numbers import compass, compass_name, slide
@@ -80,7 +80,7 @@ def rain_panel(
     lamp_choice(document, status)
     _drop_color(document, viewport, live_rain)
     if document.rain.exaggeration:
-        imgui.text_colored(WARNING, document.rain.exaggeration)
+        imgui.text_colored(warning_color(), document.rain.exaggeration)
     for group in GROUPS:
         if imgui.collapsing_header(group):
             if group == _WIND:
@@ -168,7 +168,7 @@ def _intensity(document: Document, viewport: ViewportState, playback: Playback, 
         imgui.text(rain_class(intensity))
     if live_rain.displayed.state_at(playback.clock.time_s).beyond_calibration:
         same_line_if_fits("beyond calibration")
-        imgui.text_colored(WARNING, "beyond calibration")
+        imgui.text_colored(warning_color(), "beyond calibration")
 
 
 def _exposure(document: Document, viewport: ViewportState, playback: Playback) -> None:
@@ -367,7 +367,7 @@ def rain_properties_panel(document: Document, viewport: ViewportState, playback:
          _VISIBILITY_HELP),
     ])  # fmt: skip
     if state.beyond_calibration:
-        imgui.text_colored(WARNING, f"beyond calibration ({state.calibrated_up_to_mm_h:.3g} mm/h)")
+        imgui.text_colored(warning_color(), f"beyond calibration ({state.calibrated_up_to_mm_h:.3g} mm/h)")
     warn(document.rain.exaggeration)
     if not imgui.collapsing_header("More quantities"):
         return

@@ -7,6 +7,7 @@ from typing import Literal, get_args
 from imgui_bundle import imgui
 
 from gsrain_engine.editor.editor import Editor
+from gsrain_engine.editor.guide import PANELS_PAGE
 from gsrain_engine.plugins import PANELS, Extension, load_extensions, warn_once
 
 from ..parts import bind_parts
@@ -39,52 +40,52 @@ class Panel:
     """Draws it; gets the editor's parts that its parameters name."""
     help: str = ""
     """Its contents in one sentence, which docs/guide/panels.md has, too."""
-    page: str = ""
-    """Page with more about it, relative to that one."""
+    page: str = PANELS_PAGE
+    """Page of the guide about it, relative to that one, with the anchor of a heading; its ? opens it."""
 
 
 # Table of panels
 
 BUILT_IN_PANELS = (
-    Panel("Layers", "left", layers_panel, page="selecting_and_editing.md",
+    Panel("Layers", "left", layers_panel, page="selecting_and_editing.md#layers-and-history",
           help="Layers and actors: visibility, locks, number of Gaussians."),
-    Panel("Views", "left", views_panel, page="looking_around.md",
+    Panel("Views", "left", views_panel, page="looking_around.md#named-views",
           help="Named views with pictures: save the present one; a click goes to one."),
-    Panel("History", "left", history_panel,
+    Panel("History", "left", history_panel, page="selecting_and_editing.md#layers-and-history",
           help="Every step; a click goes to it."),
-    Panel("Statistics", "left", statistics_panel,
+    Panel("Statistics", "left", statistics_panel, page="first_steps.md#other-panels",
           help="Frame time by stage, and what is drawn."),
-    Panel("Edit", "left bottom", edit_panel, page="selecting_and_editing.md",
+    Panel("Edit", "left bottom", edit_panel, page="selecting_and_editing.md#editing",
           help="The selection, and the layers and actors chosen above."),
-    Panel("Select", "left bottom", select_panel,
+    Panel("Select", "left bottom", select_panel, page="selecting_and_editing.md#selecting",
           help="By attribute (opacity, size, height, ...) and by color; grow, shrink, invert, selection sets."),
     Panel("Rain", "right", rain_panel, page="rain.md",
           help="Intensity, exposure, wind, wetness, glass, lamps; below, folded, physics, regions and the rest."),
-    Panel("Wet look", "right", wet_look_panel, page="wet_colors.md",
+    Panel("Wet look", "right", wet_look_panel, page="wet_colors.md#wet-look",
           help="Wet colors of the scene, and fine-tuning of the diffusion model that can make them."),
-    Panel("Drive", "right", drive_panel, page="../driving.md",
+    Panel("Drive", "right", drive_panel, page="../driving.md#in-the-window",
           help="A scenario driven by an agent; roll-outs side by side."),
-    Panel("Capture", "right", capture_panel, page="captures.md",
+    Panel("Capture", "right", capture_panel, page="captures.md#recorded-images-in-the-viewport",
           help="Recorded images next to the scene; reconstruct, recolor."),
-    Panel("Record", "right", record_panel, page="timeline_and_recording.md",
+    Panel("Record", "right", record_panel, page="timeline_and_recording.md#recording",
           help="A flythrough as video, frames, depth, labels; an image, or a sheet of intensities."),
-    Panel("Display", "right", display_panel, page="looking_around.md",
+    Panel("Display", "right", display_panel, page="looking_around.md#appearance-of-the-window",
           help="Rendering quality and speed; theme, text size."),
-    Panel("Rain properties", "right bottom", rain_properties_panel, page="../physics/drops.md",
+    Panel("Rain properties", "right bottom", rain_properties_panel, page="rain.md",
           help="Simulated rate, class, extinction and visibility; all other quantities that follow are folded."),
-    Panel("Disdrometer", "right bottom", disdrometer_panel, page="rain.md",
+    Panel("Disdrometer", "right bottom", disdrometer_panel, page="../physics/drops.md#the-virtual-disdrometer",
           help="Counts the simulated drops."),
     Panel("Calibration", "right bottom", calibration_panel, page="calibration.md",
           help="The calibration of the rain, compared with another one."),
-    Panel("Camera rig", "right bottom", camera_mosaic_panel, page="../driving.md",
+    Panel("Camera rig", "right bottom", camera_mosaic_panel, page="../driving.md#in-the-window",
           help="The images of the vehicle's cameras; a click looks from one."),
-    Panel("Timeline", "bottom", timeline_panel, page="timeline_and_recording.md",
+    Panel("Timeline", "bottom", timeline_panel, page="timeline_and_recording.md#timeline",
           help="Keyframes of the camera, and of every field with a diamond: the rain over time."),
-    Panel("Drive plots", "bottom", drive_plots, page="../driving.md",
+    Panel("Drive plots", "bottom", drive_plots, page="../driving.md#in-the-window",
           help="Speed, acceleration, time to collision and gap of all roll-outs; a click goes to that time."),
-    Panel("Jobs", "bottom", jobs_panel,
+    Panel("Jobs", "bottom", jobs_panel, page="first_steps.md#other-panels",
           help="Background jobs with progress, *Cancel*, result and report."),
-    Panel("Log", "bottom", log_panel,
+    Panel("Log", "bottom", log_panel, page="first_steps.md#other-panels",
           help="Messages of the program, newest at the bottom; filtered by level and words."),
 )  # fmt: skip
 

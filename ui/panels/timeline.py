@@ -25,6 +25,7 @@ from ..widgets.fields import (
     combo,
     disabled,
     end_gesture_when_released,
+    error_color,
     menu_item,
     same_line_if_room,
     text_color,
@@ -563,7 +564,6 @@ def _keyframe_menu(playback: Playback, document: Document, camera_path: CameraPa
 
 # Numbers of the active keyframe, else of the whole path
 
-_TOO_FAST = ImVec4(0.95, 0.45, 0.38, 1.0)
 _WHOLE_PATH_HELP = "Show speed, easing and the other numbers of the whole path."
 
 
@@ -647,7 +647,7 @@ def _path_numbers(editor: Editor, path: CameraPath | None) -> None:
     imgui.text(f"Now {now:.1f} km/h" + (f"   {vehicle} {ego:.1f} km/h" if ego is not None else ""))
     imgui.set_item_tooltip(f"Speed of the path camera, and of the {vehicle}, at the present time.")
     if speed.warning is not None:
-        with text_color(_TOO_FAST):
+        with text_color(error_color()):
             imgui.text_wrapped(speed.warning)
 
 

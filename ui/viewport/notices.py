@@ -19,7 +19,7 @@ from gsrain_engine.scene.progress import duration_text
 from ..folding import show_panel
 from ..panels.jobs import output_buttons
 from ..widgets.draw import EDGE_MARGIN, Canvas
-from ..widgets.fields import button
+from ..widgets.fields import button, error_color, same_line_if_fits
 from ..widgets.text import visible_name
 
 _WIDTH_EM = 34.0
@@ -101,15 +101,15 @@ def _draw_busy(words: str, kernels: int | None) -> None:
 
 
 def _draw_problem(status: StatusBus, problem: str, words: str) -> None:
-    imgui.push_style_color(imgui.Col_.text, (0.95, 0.45, 0.38, 1.0))
+    imgui.push_style_color(imgui.Col_.text, error_color())
     imgui.text_wrapped(words)
     imgui.pop_style_color()
     if imgui.button("Close"):
         status.dismiss()
-    imgui.same_line()
+    same_line_if_fits("Details")
     if button("Details", "Show the log, which has the rest."):
         show_panel("Log")
-    imgui.same_line()
+    same_line_if_fits("Copy")
     if button("Copy", "Put the sentence on the clipboard."):
         imgui.set_clipboard_text(problem)
 
@@ -127,10 +127,10 @@ def _draw_ended(job: Job[Any]) -> None:
     if imgui.button("Close###dismiss"):
         job.is_noticed = True
     if job.has_output:
-        imgui.same_line()
+        same_line_if_fits("Open file")
         output_buttons(job)
     if job.report is not None:
-        imgui.same_line()
+        same_line_if_fits("Report")
         if button("Report###show report", f"Show metrics, views and timings in a browser: {job.report}"):
             webbrowser.open(job.report.as_uri())
 

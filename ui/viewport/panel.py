@@ -40,6 +40,7 @@ def viewport_panel(
     width, height = max(int(size.x - folded.width), 16), max(int(size.y), 16)
     corner = imgui.get_cursor_screen_pos()
     edges = _draw_bars(editor, tools, corner, width, height)
+    imgui.set_cursor_screen_pos(corner)
     textures = [texture.glo for texture in shown]
     at = round(editor.viewport.options.divider * width) if len(textures) == 2 else 0
     if at > 0:

@@ -289,10 +289,25 @@ def square_button(icon: str, name: str) -> bool:
 
 # Widgets with their tooltip in one call
 
-WARNING = ImVec4(0.86, 0.48, 0.06, 1.0)  # to be read on dark and on light panels
+_WARNINGS = ImVec4(0.95, 0.6, 0.2, 1.0), ImVec4(0.6, 0.31, 0.0, 1.0)  # on dark panels, and on light ones
+_ERRORS = ImVec4(1.0, 0.52, 0.45, 1.0), ImVec4(0.72, 0.1, 0.07, 1.0)
 CLAMPED = imgui.SliderFlags_.always_clamp
 LOGARITHMIC = imgui.SliderFlags_.logarithmic | imgui.SliderFlags_.always_clamp
 _Value = TypeVar("_Value")
+
+
+def warning_color() -> ImVec4:
+    """Return the color of warnings in the present theme."""
+    return _WARNINGS[_is_light()]
+
+
+def error_color() -> ImVec4:
+    """Return the color of errors in the present theme."""
+    return _ERRORS[_is_light()]
+
+
+def _is_light() -> bool:
+    return imgui.get_style_color_vec4(imgui.Col_.window_bg).y > 0.5
 
 
 def faint(text: str | None) -> None:
@@ -306,7 +321,7 @@ def faint(text: str | None) -> None:
 def warn(text: str | None) -> None:
     """Draw a wrapped warning; nothing without a text."""
     if text:
-        with text_color(WARNING):
+        with text_color(warning_color()):
             imgui.text_wrapped(text)
 
 

@@ -48,7 +48,7 @@ class ViewOptions:
     dialog: str = ""
     """Open page of the window: commands, keys or about."""
     guide: str = ""
-    """Open page of the guide, by its path in the folder; empty if it is closed."""
+    """Open page of the guide, by its path in the folder, perhaps with # and an anchor; empty if it is closed."""
     guide_of_focus: str = FIRST_PAGE
     """Page about the panel that had the focus last."""
     member: str = ""
