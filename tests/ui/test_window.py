@@ -5,6 +5,7 @@ import pytest
 from imgui_bundle import implot
 from PIL import Image
 
+from gsrain_engine.editor.viewport.options import BACKDROP_LEVELS
 from gsrain_engine.scene.formats.scene_files import write_scene
 from small_scene import small_scene
 from ui.commands.keys import chord, chord_name, chords_of
@@ -150,6 +151,21 @@ def test_while_the_camera_moves_less_is_drawn_and_all_of_it_at_rest(driver):
     driver.click("//View/###Home")
     driver.until(lambda: editor.viewport.detail.is_exact)
     assert np.array_equal(driver.picture(), exact)
+
+
+def test_the_display_panel_offers_no_frame_time_that_the_machine_cannot_keep(driver):
+    budget = driver.editor.viewport.budget
+    field = f"{driver.panel('Display')}##target_ms"
+    driver.type_in(field, 20.0)
+    assert budget.target_ms == 20.0
+    for _ in range(5):
+        budget.measured(BACKDROP_LEVELS[-1], 1.5 * 91.0)  # such pictures may take half as long again
+    driver.frames()
+    assert budget.target_ms == 20.0  # still asked for: another scene may keep it
+    driver.type_in(field, 150.0)
+    assert budget.target_ms == 150.0
+    driver.type_in(field, 30.0)
+    assert budget.target_ms == 95.0
 
 
 def test_calibration_and_disdrometer_panels_measure_the_rain(driver):

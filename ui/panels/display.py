@@ -1,5 +1,6 @@
 """Display panel and Statistics panel."""
 
+import math
 import time
 from typing import get_args
 
@@ -11,12 +12,13 @@ from gsrain_engine.editor.viewport_state import ViewportState
 from gsrain_engine.render.opengl.buffers import Harmonics
 
 from ..commands.table import help_of
-from ..widgets.fields import combo, disabled, edit_field, field_label, number, plain_label, warning_color
+from ..widgets.fields import combo, disabled, edit_field, faint, field_label, number, plain_label, warning_color
 from ..widgets.numbers import slide
 from ..widgets.text import readings
 
 _STORAGES: dict[Harmonics, str] = {"single": "32 bits", "half": "16 bits", "byte": "8 bits"}
 _SHRINKS = {1: "100 %", 2: "50 %", 3: "33 %"}
+_MIN_TARGET_MS, _MAX_TARGET_MS, _TARGET_STEP_MS = 10.0, 200.0, 5.0
 _dragged: dict[str, float] = {}  # values of sliders that are being dragged, by preference
 
 
@@ -39,8 +41,14 @@ def display_panel(viewport: ViewportState, preferences: PreferencesStore) -> Non
     _, budget.enabled = imgui.checkbox("##budget", budget.enabled)
     imgui.same_line()
     imgui.set_next_item_width(-1)
+    shortest_ms = max(_MIN_TARGET_MS, _TARGET_STEP_MS * math.ceil(budget.kept_ms / _TARGET_STEP_MS))
     with disabled(not budget.enabled):
-        _, budget.target_ms = slide("##target_ms", budget.target_ms, 10, 200, "%.0f ms per frame", unit="ms")
+        bounds = shortest_ms, max(_MAX_TARGET_MS, 2 * shortest_ms)
+        shown_ms = max(budget.target_ms, shortest_ms)
+        changed, target_ms = slide("##target_ms", shown_ms, *bounds, "%.0f ms per frame", unit="ms")
+        budget.target_ms = target_ms if changed else budget.target_ms
+    if shortest_ms > _MIN_TARGET_MS:
+        faint(f"Shortest time kept here: {shortest_ms:.0f} ms, by the coarsest pictures.")
     fov = number(
         "Vertical FOV (deg)", "fov", navigation.vertical_fov_deg, 15, 110, "%.0f\u00b0", "Vertical field of view."
     )
