@@ -24,24 +24,13 @@ _dragged: dict[str, float] = {}  # values of sliders that are being dragged, by 
 
 def display_panel(viewport: ViewportState, preferences: PreferencesStore) -> None:
     view, budget, navigation = viewport.options, viewport.budget, viewport.navigation
-    plain_label("Background", "Color of pixels without Gaussians.")
-    _, color = imgui.color_edit3("##background", list(view.background))
-    view.background = (color[0], color[1], color[2])
-    help_text = "Brightens or darkens the display only, not the scene."
-    view.gain_ev = number("Display gain (EV)", "gain", view.gain_ev, -3, 3, "%.1f", help_text)
     plain_label("Resolution", "Draw fewer pixels while tuning; the rain has the same drops.")
     view.shrink = combo("##resolution", view.shrink, _SHRINKS)
-    plain_label(
-        "Color precision",
-        "Of colors on the GPU: fewer bits take less memory and, in large scenes, less time per frame.",
-    )
-    with disabled(not viewport.backend.startswith("opengl")):
-        view.harmonics = combo("##harmonics", view.harmonics, _STORAGES)
     plain_label("While moving", "Draw less while the camera moves or rain plays, to hold this time; exact at rest.")
     _, budget.enabled = imgui.checkbox("##budget", budget.enabled)
     imgui.same_line()
     imgui.set_next_item_width(-1)
-    shortest_ms = max(_MIN_TARGET_MS, _TARGET_STEP_MS * math.ceil(budget.kept_ms / _TARGET_STEP_MS))
+    shortest_ms = max(_MIN_TARGET_MS, _TARGET_STEP_MS * math.ceil(budget.min_target_ms / _TARGET_STEP_MS))
     with disabled(not budget.enabled):
         bounds = shortest_ms, max(_MAX_TARGET_MS, 2 * shortest_ms)
         shown_ms = max(budget.target_ms, shortest_ms)
@@ -66,11 +55,20 @@ def display_panel(viewport: ViewportState, preferences: PreferencesStore) -> Non
             changed, is_on = imgui.checkbox(mark.capitalize(), mark in view.marks)
             if changed:
                 view.marks = view.marks | {mark} if is_on else view.marks - {mark}
+    help_text = "Brightens or darkens the display only, not the scene."
+    view.gain_ev = number("Display gain (EV)", "gain", view.gain_ev, -3, 3, "%.1f", help_text)
+    plain_label("Background", "Color of pixels without Gaussians.")
+    _, color = imgui.color_edit3("##background", list(view.background))
+    view.background = (color[0], color[1], color[2])
+    plain_label(
+        "Color precision",
+        "Of colors on the GPU: fewer bits take less memory and, in large scenes, less time per frame.",
+    )
+    with disabled(not viewport.backend.startswith("opengl")):
+        view.harmonics = combo("##harmonics", view.harmonics, _STORAGES)
     imgui.separator_text("Window")
     if (changed := edit_field(preferences.value, "theme")) is not preferences.value:
         preferences.set(theme=changed.theme)
-    if (changed := edit_field(preferences.value, "desktop_dialogs")) is not preferences.value:
-        preferences.set(desktop_dialogs=changed.desktop_dialogs)
     for name, form in (("font_scale", "%.2f"), ("ui_scale", "%.2f"), ("autosave_s", "%.0f")):
         # It applies when the slider is released, so that the layout doesn't change during the drag.
         info, present = field_label(name, Preferences), _dragged.get(name, getattr(preferences.value, name))
@@ -79,6 +77,8 @@ def display_panel(viewport: ViewportState, preferences: PreferencesStore) -> Non
             _dragged[name] = value
         if imgui.is_item_deactivated_after_edit() and name in _dragged:
             preferences.set(**{name: _dragged.pop(name)})
+    if (changed := edit_field(preferences.value, "desktop_dialogs")) is not preferences.value:
+        preferences.set(desktop_dialogs=changed.desktop_dialogs)
 
 
 def statistics_panel(viewport: ViewportState) -> None:

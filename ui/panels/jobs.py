@@ -25,7 +25,7 @@ def jobs_panel(viewport: ViewportState, jobs: JobRunner) -> None:
     for job in [*reversed(jobs.waiting), *reversed(jobs.running), *ended]:
         imgui.separator_text(job.title)
         job_fields(viewport, jobs, job)
-    if ended and imgui.button("Clear", (-1, 0)):
+    if ended and button("Clear", "Take the jobs that have ended off the list; their results stay."):
         jobs.clear()
 
 

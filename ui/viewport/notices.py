@@ -63,8 +63,8 @@ def _queue(editor: Editor) -> list[_Notice]:
 def draw_notices(editor: Editor, canvas: Canvas) -> None:
     """Draw the queue of notices in the lower right corner: those that have room, of which the first one may scroll.
 
-    Those over the left half of the view stay in its lower half. While there is no picture, the work that it waits for
-    is in the middle.
+    Where they reach into the left half of the view, the first stays in the lower half, the others in the lower third.
+    While there is no picture, the work that it waits for is in the middle.
     """
     edges, em = canvas.edges, imgui.get_font_size()
     if editor.busy is not None and editor.awaits_first_picture:
@@ -75,10 +75,11 @@ def draw_notices(editor: Editor, canvas: Canvas) -> None:
             _draw_busy(editor.busy, editor.viewport.kernels if editor.busy == editor.preparing else None)
     wide = min(_WIDTH_EM * em, canvas.width - 2 * EDGE_MARGIN - edges.left)
     left, bottom = canvas.width - wide - EDGE_MARGIN, canvas.height - edges.bottom - EDGE_MARGIN
-    top = EDGE_MARGIN + max(edges.top, 0.0 if left > canvas.width / 2 + EDGE_MARGIN else canvas.height / 2)
+    height = 0.0 if left > canvas.width / 2 + EDGE_MARGIN else canvas.height
+    top = EDGE_MARGIN + max(edges.top, height / 2)
     for number, each in enumerate(_queue(editor)):
         tall = _height(each.words, wide)
-        if number > 0 and tall > bottom - top:
+        if number > 0 and tall > bottom - max(top, height * 2 / 3):
             break
         tall = min(tall, max(bottom - top, 1.0))
         imgui.set_cursor_screen_pos(canvas.on_screen(left, bottom - tall))

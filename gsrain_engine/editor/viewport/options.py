@@ -4,7 +4,6 @@ import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from statistics import median
 from typing import Literal, NamedTuple
 
 from ...choices import Mark, RenderMode
@@ -149,7 +148,7 @@ _FIRST_BACKDROP = 2  # level of backdrops to begin with
 _WARPED_PATIENCE = 6.0  # of a warped picture: longer, what it shows bends; shorter, it is too coarse
 _LONG_MS = 150.0  # drawing time of a full picture from which on a fast one shows a change first
 _VERY_LONG_MS = 1000.0  # from which on a refined one comes first when all is at rest
-_COARSEST = 5  # number of pictures of the coarsest level whose median is its drawing time
+_COARSEST = 5  # number of pictures of the coarsest level, of which the fastest is what the machine keeps
 _MIN_COARSEST = 3
 _CUTS_A_HALVING = 3  # levels of cuts from one to another of half its time
 
@@ -170,7 +169,7 @@ class _Ladder:
     def measured(self, detail: QualityLevel, frame_ms: float, limit_ms: Callable[[QualityLevel], float]) -> None:
         """Record the drawing time of a frame; `limit_ms` is what one may take."""
         level = self.levels.index(detail)
-        if level == len(self.levels) - 1 or (self.coarsest_ms and frame_ms < median(self.coarsest_ms)):
+        if level == len(self.levels) - 1 or (self.coarsest_ms and frame_ms < min(self.coarsest_ms)):
             self.coarsest_ms.append(frame_ms)
         self.too_slow = {each: left - 1 for each, left in self.too_slow.items() if left > 1}
         if frame_ms > _TOLERANCE * limit_ms(detail):
@@ -216,11 +215,11 @@ class AdaptiveQuality:
         return self._of_backdrops.levels[self._of_backdrops.present] if stands else detail
 
     @property
-    def kept_ms(self) -> float:
+    def min_target_ms(self) -> float:
         """Shortest target that the coarsest pictures keep, by those that were drawn; 0 while there were too few."""
         ladders = self._of_cuts if self.has_cuts else self._of_all, self._of_backdrops
         known = [each for each in ladders if len(each.coarsest_ms) >= _MIN_COARSEST]
-        shares = (median(each.coarsest_ms) / self._limit_ms(each.levels[-1]) for each in known)
+        shares = (min(each.coarsest_ms) / self._limit_ms(each.levels[-1]) for each in known)
         return self.target_ms * max(shares, default=0.0)
 
     @property
