@@ -18,7 +18,7 @@ from ..parts import bind_parts
 from ..tools import TOOLS
 from ..tools.base import Tool
 from ..widgets.draw import EDGE_MARGIN, Canvas, FreeEdges, draw_lines, draw_point
-from ..widgets.fields import button
+from ..widgets.fields import button, rows_beyond
 from ..widgets.type_ahead import has_keys
 from .first_run import draw_corner_card, draw_setup_bar, draw_start_card
 from .notices import card, draw_notices, notice_room
@@ -227,10 +227,9 @@ def tool_options(tool: Tool, corner: ImVec2, left: float, width: float, max_heig
     room = max(width - left - _MARGIN, 50)
     wide = widths.get_float(key, room)
     scrolls = imgui.WindowFlags_.horizontal_scrollbar if wide > room else imgui.WindowFlags_.none
-    if wide <= room:
-        imgui.set_next_window_content_size(ImVec2(room - 2 * _PADDING, 0))  # where rows break
     high = max_height - _MARGIN - _GAP
-    with card("tool options", min(wide, room), imgui.Col_.window_bg, 0.82, window_flags=scrolls, max_height=high):
+    color, width = imgui.Col_.window_bg, min(wide, room)
+    with card("tool options", width, color, 0.82, window_flags=scrolls, max_height=high), rows_beyond(room - width):
         imgui.begin_group()
         imgui.align_text_to_frame_padding()
         imgui.text(tool.name)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Any, TypeVar
 
 import msgspec
@@ -32,10 +33,23 @@ def field_label(name: str, owner: type[msgspec.Struct] = RainSettings, *, label:
     return info
 
 
+_BEYOND_PX = ContextVar("so far right of a window's edge rows break", default=0.0)
+
+
+@contextmanager
+def rows_beyond(pixels: float) -> Generator[None]:
+    """Break rows so many pixels right of the window's edge: for one that grows to the width of what it holds."""
+    token = _BEYOND_PX.set(pixels)
+    try:
+        yield
+    finally:
+        _BEYOND_PX.reset(token)
+
+
 def same_line_if_room(width_em: float, gap: float = 10.0) -> None:
     """Continue on the same line, after a gap in pixels, if the width still fits; else on the next."""
     imgui.same_line(0, gap)
-    if imgui.get_content_region_avail().x < width_em * imgui.get_font_size():
+    if imgui.get_content_region_avail().x + _BEYOND_PX.get() < width_em * imgui.get_font_size():
         imgui.new_line()
 
 
