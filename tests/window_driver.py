@@ -292,6 +292,7 @@ class Driver:
         path = self.folder / f"picture{len(list(self.folder.iterdir()))}.png"
         options = self.editor.viewport.options
         shrink, options.shrink = options.shrink, 1
+        self.ctx.yield_()  # to have what was changed before taken over
         self.editor.viewport.screenshot = path
         self.until(path.exists)
         options.shrink = shrink

@@ -117,7 +117,9 @@ def unreachable(title):
     return found
 
 
-def test_dialogs_fit_into_the_window_or_scroll(driver, sizes, cut):
+def test_dialogs_fit_into_the_window_or_scroll(driver, sizes, cut, tmp_path):
+    (lately := tmp_path / "recordings_of_the_evening_drive_through_the_old_town").mkdir()
+    driver.editor.files.recent = [lately / "scene.ply"]
     found, options = {}, driver.editor.viewport.options
     for size in sizes():
         for title, show in DIALOGS.items():

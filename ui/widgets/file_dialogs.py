@@ -22,7 +22,7 @@ from gsrain_engine.scene.formats.scene_folder import SCENE_FILE
 
 from .fields import keyframe_button_width, plain_label, square_button, warn
 from .popups import place_dialog
-from .text import label
+from .text import label, shortened
 
 Answer = Callable[[list[Path]], None]
 
@@ -390,9 +390,9 @@ class FileBrowser:
         if self._used:
             imgui.separator_text("Recent")
         for n, folder in enumerate(self._used):
-            if imgui.selectable(f"{icon} {label(folder.name or str(folder), str(n))}", folder == self._listing.folder)[
-                0
-            ]:
+            room = imgui.get_content_region_avail().x - imgui.calc_text_size(f"{icon} ").x
+            name = label(shortened(folder.name or str(folder), room), str(n))
+            if imgui.selectable(f"{icon} {name}", folder == self._listing.folder)[0]:
                 self._enter(folder)
             imgui.set_item_tooltip(str(folder))
         imgui.separator()
