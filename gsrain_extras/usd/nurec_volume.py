@@ -61,8 +61,11 @@ def read_nurec_scene(path: Path) -> Scene:
 def state_of_volume(path: Path, data: bytes) -> dict[str, Any]:
     """Arrays and plain values of a `.nurec`, which may be part of the file at `path`, by key without its first dot."""
     unpacked = gunzip(path, data, max_expanded_bytes(len(data)))
+    del data  # large, like what is unpacked from it
     try:
-        state = msgspec.msgpack.decode(unpacked)["nre_data"]["state_dict"]
+        decoded = msgspec.msgpack.decode(unpacked)
+        del unpacked
+        state = decoded["nre_data"]["state_dict"]
         return {str(key).removeprefix("."): _array(state, key) for key in state if not str(key).endswith(".shape")}
     except (msgspec.DecodeError, RecursionError, *MISFITS) as error:
         raise SceneFormatError(path, f"no NuRec volume: {error}") from None
@@ -169,8 +172,8 @@ class _NurecReader:
         means, scales, quaternions, logits, albedo, specular = (
             self.state[f"{_NODES}{node}.{name}"] for name in _ARRAYS
         )
-        constant = array_of(albedo).reshape(len(means), -1, 3)[:, :1]
-        others = array_of(specular).reshape(len(means), -1, 3)
+        constant = albedo.reshape(len(means), -1, 3)[:, :1]
+        others = specular.reshape(len(means), -1, 3)
         return activated_rows(self.path, SplatTensors(means, scales, quaternions, logits, constant, others))
 
     def actors(self, node: str, gaussians: Gaussians, cuboids: Int64[np.ndarray, " n"]) -> Iterator[Actor]:

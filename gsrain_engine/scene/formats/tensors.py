@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float, Float32
 
 from ...optional_packages import MissingPackageError, import_package
 from ...safe_io.errors import SceneFormatError
@@ -84,7 +84,7 @@ def activated_rows(
     """Gaussians of tensors, and the mask of the usable ones among their rows. Raises `SceneFormatError`."""
     try:
         count = len(trained.means)
-        others = np.zeros((count, 0, 3), np.float32) if trained.others is None else array_of(trained.others)
+        others = np.zeros((count, 0, 3), np.float32) if trained.others is None else _values(trained.others)
         others = others.reshape(count, -1, 3)[:, : COEFFICIENTS_OF_DEGREE[max_degree] - 1]
         coefficients = others.shape[1] + 1
         if coefficients not in COEFFICIENTS_OF_DEGREE:
@@ -100,7 +100,8 @@ def activated_rows(
             activate_opacities(opacities)
             if trained.filter_3d is not None:
                 apply_3d_filter(scales, opacities, array_of(trained.filter_3d).reshape(count))
-        sh = np.concatenate([constant, others], axis=1)
+            sh = np.empty((count, coefficients, 3), np.float32)
+            sh[:, :1], sh[:, 1:] = constant.reshape(count, 1, 3), others
         fit = usable_rows(path, means, scales, quaternions, opacities, sh)
         rows = (means, scales, quaternions, opacities, sh) if fit.all() else (
             means[fit], scales[fit], quaternions[fit], opacities[fit], sh[fit]
@@ -122,8 +123,11 @@ def _three(scales: Float32[np.ndarray, "n k"], thickness: float) -> Float32[np.n
 
 def array_of(tensor: Any) -> Float32[np.ndarray, "..."]:
     """Copy of the values of a tensor or an array."""
-    values = tensor if isinstance(tensor, np.ndarray) else tensor.detach().float().numpy()
-    return np.array(values, np.float32, order="C")
+    return np.array(_values(tensor), np.float32, order="C")
+
+
+def _values(tensor: Any) -> Float[np.ndarray, "..."]:
+    return tensor if isinstance(tensor, np.ndarray) else tensor.detach().float().numpy()
 
 
 def misfit(path: Path, error: Exception) -> SceneFormatError:
