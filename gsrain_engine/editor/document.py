@@ -31,7 +31,7 @@ class DocumentState:
     def rain_change(self, after: "DocumentState") -> str:
         """Old and new value of the rain setting in which a later document differs: "8.5 -> 13 mm/h".
 
-        "" if none or several differ, or if it is no single value.
+        "" if none or several differ, if it is no single value, or if it is on or off, which the step's label tells.
         """
         if self.rain == after.rain:
             return ""
@@ -42,7 +42,9 @@ class DocumentState:
                 f"{each.rain.wind_speed_m_s:.3g} m/s, {each.rain.wind_from_deg:.0f}\u00b0" for each in (self, after)
             )
             return " -> ".join(winds)
-        if len(names) != 1 or not isinstance(old[names[0]] or new[names[0]], str | float | int):
+        if len(names) != 1 or isinstance(new[names[0]], bool):
+            return ""
+        if not isinstance(old[names[0]] or new[names[0]], str | float | int):
             return ""
         setting = field_of(RainSettings, names[0])
         words = " -> ".join(setting.value_text(each[names[0]]) for each in (old, new))

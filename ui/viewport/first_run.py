@@ -180,9 +180,10 @@ def draw_setup_bar(editor: Editor, corner: ImVec2, left: float, width: int, top:
             document.end_gesture()
         _next(end, 10 * em)
         title = f"{icons.ICON_FA_CLOUD_RAIN}  Rain {SETUP_MM_H:g} mm/h###rain"
-        if button(title, "Let it rain, which ends the set-up."):
-            setup.rain()
-        imgui.same_line()
+        if editor.document.rain_now.intensity_mm_h == 0:
+            if button(title, "Let it rain, which ends the set-up."):
+                setup.rain()
+            imgui.same_line()
         if button(
             "Close###close set-up", "Close this bar; the tools Level, Measure, and Set origin or ego start do the same."
         ):

@@ -461,7 +461,8 @@ class FileBrowser:
         """Draw the field for the name and the list of file types; arrows and Enter work while it has the focus."""
         em = imgui.get_font_size()
         imgui.align_text_to_frame_padding()
-        imgui.text("File name" if self._request.kinds else "Folder")
+        names_files = any(kind.suffixes for kind in self._request.kinds)
+        imgui.text("File name" if names_files else "Folder name" if self._request.is_save else "Folder")
         imgui.same_line()
         imgui.set_next_item_width(-min(16 * em, imgui.get_content_region_avail().x / 2) if self._request.kinds else -1)
         if self._focus_name:
