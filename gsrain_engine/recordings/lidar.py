@@ -83,11 +83,19 @@ class LidarRain:
         return found
 
 
+_STEPS = (1.0, 1 / 255, 0.01)
+"""Steps of intensities that data sets round to: whole numbers beyond 1, bytes over 255, two decimals (KITTI)."""
+_ROUNDED = 1e-3  # of a step
+
+
 def like_recorded(intensities: Float32[np.ndarray, " m"] | None, recorded: Float[np.ndarray, " n"]) -> np.ndarray:
     """Intensities with the steps and the type of the recorded ones: whole numbers stay whole."""
     found = np.zeros(0) if intensities is None else intensities
     if recorded.dtype.kind in "iu":
         bounds = np.iinfo(recorded.dtype)
         return np.clip(np.rint(found), bounds.min, bounds.max).astype(recorded.dtype)
-    whole = len(recorded) > 0 and float(recorded.max()) > 1 and bool((recorded == np.rint(recorded)).all())
-    return (np.rint(found) if whole else found).astype(recorded.dtype)
+    for step in _STEPS if len(recorded) else ():
+        counts = recorded.astype(np.float64) / step
+        if (step < 1 or recorded.max() > 1) and (np.abs(counts - np.rint(counts)) < _ROUNDED).all():
+            return (np.rint(found / step) * step).astype(recorded.dtype)
+    return found.astype(recorded.dtype)

@@ -1,6 +1,7 @@
 """Virtual lidar of a roll-out, in its scene and rain."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -25,13 +26,18 @@ class LidarTurnInRain(NamedTuple):
 
 
 def rollout_lidar_turns(played: RolloutPlayback, sensor: LidarSensor) -> Iterator[LidarTurnInRain]:
-    """Yield the turn of a level lidar on the ego's roof at each step, in the scenario's rain and vehicles' spray."""
+    """Yield the turn of a level lidar on the ego's roof at each step, in the scenario's rain and vehicles' spray.
+
+    Intensities are the reflectances of what is hit (0..1, with the cosine of incidence), corrected for range, and
+    weaker in rain: those of a calibrated sensor, as captures have them.
+    """
     rainfall = RainSimulation.start(played.scenario.rain)
     for step in played.rollout.steps:
         scene, rig = played.scene(step.time_s), played.rig_to_world(step.time_s)
         time_s, pose = played.scene_time_s(step.time_s), ego_pose(step)
         pose[2, 3] += ROOF_M
         beams, spray = scan_scene(scene, time_s, pose, sensor), spray_of(scene, rainfall, time_s)
+        beams = replace(beams, intensities=beams.reflectances.astype(np.float32))
         anchor = leveled_frame(rig[:3, 0], rig[:3, 3])
         yield LidarTurnInRain(step.step, scan_in_rain(beams, sensor, rainfall, anchor, spray=spray), pose)
 

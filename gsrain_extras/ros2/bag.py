@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float32, Float64
 from scipy.spatial.transform import Rotation
 
+from gsrain_engine.datasets.bags.messages import ros_types
 from gsrain_engine.optional_packages import require_package
 from gsrain_engine.safe_io.files import whole_folder
 from gsrain_engine.simulation.drive_exports import DriveExport, FinishedDrive
@@ -23,19 +24,6 @@ MAP, VEHICLE, LIDAR = "map", "base_link", "lidar"
 """Frames: the scene's world; the ego vehicle on the ground below its rear axle; the lidar's."""
 
 _JPEG_QUALITY = 95
-_VISION = {
-    "vision_msgs/msg/ObjectHypothesis": "string class_id\nfloat64 score\n",
-    "vision_msgs/msg/ObjectHypothesisWithPose": (
-        "vision_msgs/ObjectHypothesis hypothesis\ngeometry_msgs/PoseWithCovariance pose\n"
-    ),
-    "vision_msgs/msg/BoundingBox3D": "geometry_msgs/Pose center\ngeometry_msgs/Vector3 size\n",
-    "vision_msgs/msg/Detection3D": (
-        "std_msgs/Header header\nvision_msgs/ObjectHypothesisWithPose[] results\n"
-        "vision_msgs/BoundingBox3D bbox\nstring id\n"
-    ),
-    "vision_msgs/msg/Detection3DArray": "std_msgs/Header header\nvision_msgs/Detection3D[] detections\n",
-}
-"""Types that are not among those that ROS 2 comes with."""
 
 
 def write_rollout_bag(
@@ -52,11 +40,8 @@ def write_rollout_bag(
     """
     require_package("rosbags", "a bag of ROS 2")
     from rosbags.rosbag2 import StoragePlugin, Writer
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    for name, text in _VISION.items():
-        store.register(get_types_from_msg(text, name))
+    store = ros_types()
     if (folder / "metadata.yaml").is_file():
         shutil.rmtree(folder)
     with whole_folder(folder) as whole:
@@ -150,8 +135,8 @@ class _BagWriter:
         points = sweep.points_m.astype(np.float64) @ back[:3, :3].T + back[:3, 3]
         rows: Float32[np.ndarray, "p 4"] = np.zeros((len(points), 4), np.float32)
         rows[:, :3] = points
-        # Power over the detection threshold, in dB, as receivers state it: surfaces of a scene have no intensity.
-        rows[:, 3] = 10 * np.log10(np.maximum(turn.scan.signals, 1.0))
+        if sweep.intensities is not None:
+            rows[:, 3] = np.clip(sweep.intensities, 0.0, 1.0)  # beyond 1 another scale would be guessed
         fields = [
             self._new("sensor_msgs/msg/PointField", name=name, offset=4 * k, datatype=7, count=1)
             for k, name in enumerate(("x", "y", "z", "intensity"))

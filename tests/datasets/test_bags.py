@@ -79,8 +79,10 @@ def test_without_transforms_the_pictures_have_no_poses(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "encoding", ["rgb8", "bgr8", "rgba8", "bgra8", "mono8", "bayer_rggb8", "bayer_grbg8", "bayer_bggr8", "uyvy", "yuyv"]
-)
+    "encoding",
+    ["rgb8", "bgr8", "BGR8", "8UC3", "rgba8", "bgra8", "mono8", "bayer_rggb8", "bayer_grbg8", "bayer_bggr8", "uyvy",
+     "yuyv"],
+)  # fmt: skip
 def test_pixels_of_every_encoding_come_back(encoding):
     channels = {"rgba8": 4, "bgra8": 4, "mono8": 1, "uyvy": 2, "yuyv": 2}.get(encoding, 1 if "bayer" in encoding else 3)
     pixels = np.random.default_rng(1).integers(60, 180, (8, 12, channels), np.uint8)
@@ -92,9 +94,49 @@ def test_pixels_of_every_encoding_come_back(encoding):
         assert np.abs(colors_of(again).astype(int) - colors).mean() < 12
         return
     np.testing.assert_array_equal(again.data.reshape(pixels.shape), pixels)
-    if encoding.startswith("bgr"):
+    if encoding.lower().startswith("bgr"):
         np.testing.assert_array_equal(colors, pixels[..., 2::-1])
     assert with_colors(recorded, lambda same: same) is None
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize("encoding", ["mono16", "bayer_rggb16", "bayer_GBRG16"])
+def test_16_bits_are_read_in_either_order_and_come_back_to_the_bit(encoding, order):
+    values = np.random.default_rng(1).integers(0, 65536, (8, 12), np.uint16)
+    stored = values.astype(f"{order}u2").view(np.uint8).reshape(8, 24)
+    told = raw_image(stored, encoding, 5.0, padding=4)
+    told = replace(told, width=12, is_bigendian=int(order == ">"))
+    recorded = read_image(message(told, IMAGE))
+    colors = colors_of(recorded)
+    if encoding == "mono16":
+        np.testing.assert_allclose(colors[..., 1], values / 257, atol=0.5)
+    again = read_image(recorded_with(recorded, with_colors(recorded, np.copy)))
+    assert (again.encoding, again.step) == (encoding, 24)
+    np.testing.assert_array_equal(again.data.reshape(8, 24), stored)
+    half = with_colors(recorded, lambda colors: (colors // 2).astype(np.uint8))
+    darker = colors_of(read_image(recorded_with(recorded, half)))
+    assert abs(darker.mean() - colors.mean() / 2) < 4
+
+
+@pytest.mark.parametrize(("encoding", "first"), [("nv12", 1), ("NV21", 2)])
+def test_planes_of_brightness_and_color_are_read_and_written(encoding, first):
+    import cv2
+
+    smooth = np.stack(np.broadcast_arrays(np.linspace(40, 200, 8)[:, None], np.linspace(60, 180, 12), 120.0), axis=-1)
+    wanted = smooth.astype(np.uint8)
+    planes = cv2.cvtColor(wanted, cv2.COLOR_RGB2YCrCb)[::2, ::2]  # V, then U, over all of 0..255
+    # Brightness and color as television has them: 16..235 and 16..240.
+    luma = np.rint(16 + cv2.cvtColor(wanted, cv2.COLOR_RGB2YCrCb)[..., 0].astype(float) * 219 / 255).astype(np.uint8)
+    pairs = np.rint(128 + (planes[..., [2, 1]][..., :: 1 if first == 1 else -1].astype(float) - 128) * 224 / 255)
+    rows = np.concatenate([luma, pairs.astype(np.uint8).reshape(4, 12)])
+    told = replace(raw_image(rows, encoding, 5.0, padding=4), height=8)
+    recorded = read_image(message(told, IMAGE))
+    colors = colors_of(recorded)
+    assert is_picture(recorded) and np.abs(colors.astype(int) - wanted).max() < 20
+    again = read_image(recorded_with(recorded, with_colors(recorded, np.copy)))
+    assert np.abs(colors_of(again).astype(int) - colors).mean() < 3
+    with pytest.raises(ValueError, match=f"12x7 px of {encoding}"):
+        colors_of(read_image(message(replace(told, height=7), IMAGE)))
 
 
 def recorded_with(image, data):
@@ -196,15 +238,15 @@ def skewed():
     return [*without("/tf_static"), ("/tf_static", "tf2_msgs/msg/TFMessage", time, still)]
 
 
-NV12 = raw_image(np.zeros((4, 4, 1), np.uint8), "nv12", DRIVE.time(0))
+VIDEO = raw_image(np.zeros((4, 4, 1), np.uint8), "nv24", DRIVE.time(0))
 
 
 def test_topics_that_are_left_out_are_named_with_their_encodings(tmp_path):
-    bag = write_bag(tmp_path / "bag", [*drive_messages(DRIVE), ("/rear/image", IMAGE, DRIVE.time(0), NV12)])
+    bag = write_bag(tmp_path / "bag", [*drive_messages(DRIVE), ("/rear/image", IMAGE, DRIVE.time(0), VIDEO)])
     (problem,) = open_capture(bag).problems
-    assert problem.startswith("/rear/image left out: ") and "nv12" in problem
-    lonely = [*without(IMAGES), ("/rear/image", IMAGE, DRIVE.time(0), NV12)]
-    with pytest.raises(CaptureError, match=r"/rear/image left out: .*nv12"):
+    assert problem.startswith("/rear/image left out: ") and "nv24" in problem
+    lonely = [*without(IMAGES), ("/rear/image", IMAGE, DRIVE.time(0), VIDEO)]
+    with pytest.raises(CaptureError, match=r"/rear/image left out: .*nv24"):
         open_capture(write_bag(tmp_path / "lonely", lonely))
 
 

@@ -1,6 +1,7 @@
 """Messages of cameras, lidars and poses: ROS 2 (CDR) and Foxglove's schemas (JSON, Protocol Buffers).
 
-Facts: the .msg files of github.com/ros2/common_interfaces and geometry2, and github.com/foxglove/foxglove-sdk/schemas.
+Facts: the .msg files of github.com/ros2/common_interfaces and geometry2, of github.com/ros-perception/vision_msgs 4,
+and github.com/foxglove/foxglove-sdk/schemas.
 """
 
 import base64
@@ -22,7 +23,7 @@ from ..geometry import Pose, rigid_from_quaternion
 from ..io.arrays import WRONG_VALUES, what_is_wrong
 from .containers import BagMessage, Topic
 
-Kind = Literal["image", "calibration", "cloud", "transforms", "pose"]
+Kind = Literal["image", "calibration", "cloud", "transforms", "pose", "boxes"]
 
 KINDS: Mapping[str, Kind] = {
     "sensor_msgs/msg/Image": "image",
@@ -31,6 +32,7 @@ KINDS: Mapping[str, Kind] = {
     "sensor_msgs/msg/PointCloud2": "cloud",
     "tf2_msgs/msg/TFMessage": "transforms",
     "nav_msgs/msg/Odometry": "pose",
+    "vision_msgs/msg/Detection3DArray": "boxes",
     "foxglove.RawImage": "image",
     "foxglove.CompressedImage": "image",
     "foxglove.CameraCalibration": "calibration",
@@ -39,6 +41,20 @@ KINDS: Mapping[str, Kind] = {
     "foxglove.FrameTransforms": "transforms",
 }
 """Types of messages that are read."""
+
+_VISION = {
+    "vision_msgs/msg/ObjectHypothesis": "string class_id\nfloat64 score\n",
+    "vision_msgs/msg/ObjectHypothesisWithPose": (
+        "vision_msgs/ObjectHypothesis hypothesis\ngeometry_msgs/PoseWithCovariance pose\n"
+    ),
+    "vision_msgs/msg/BoundingBox3D": "geometry_msgs/Pose center\ngeometry_msgs/Vector3 size\n",
+    "vision_msgs/msg/Detection3D": (
+        "std_msgs/Header header\nvision_msgs/ObjectHypothesisWithPose[] results\n"
+        "vision_msgs/BoundingBox3D bbox\nstring id\n"
+    ),
+    "vision_msgs/msg/Detection3DArray": "std_msgs/Header header\nvision_msgs/Detection3D[] detections\n",
+}
+"""Types that are not among those that ROS 2 comes with."""
 
 _ENCODINGS = ("cdr", "json", "protobuf")
 
@@ -64,7 +80,7 @@ def decoded(message: BagMessage) -> Any:
     topic = message.topic
     try:
         if topic.encoding == "cdr":
-            return _ros().deserialize_cdr(message.data, topic.type)
+            return ros_types().deserialize_cdr(message.data, topic.type)
         if topic.encoding == "json":
             return _namespace(msgspec.json.decode(message.data))
         found = _protobuf(topic)()
@@ -79,20 +95,26 @@ def decoded(message: BagMessage) -> Any:
 def encoded(value: Any, topic: Topic) -> bytes:
     """Encode an object that `decoded` returned, with changed fields."""
     if topic.encoding == "cdr":
-        return bytes(_ros().serialize_cdr(value, topic.type))
+        return bytes(ros_types().serialize_cdr(value, topic.type))
     if topic.encoding == "json":
         return msgspec.json.encode(_plain(value))
     return value.SerializeToString(deterministic=True)
 
 
 @cache
-def _ros() -> Any:
-    """Types of ROS 2, the same in all its releases as far as they are read here; those in a file are not compiled."""
+def ros_types() -> Any:
+    """Types of ROS 2 and vision_msgs, the same in all releases as far as they are read.
+
+    Those in a file are not compiled. Raises `CaptureError` without rosbags.
+    """
     try:
         typesys = import_package("rosbags.typesys", "a bag of ROS 2")
     except MissingPackageError as error:
         raise CaptureError(str(error)) from None
-    return typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+    store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+    for name, text in _VISION.items():
+        store.register(typesys.get_types_from_msg(text, name))
+    return store
 
 
 @cache
@@ -184,6 +206,8 @@ class ImageMessage:
     width: int = 0
     step: int = 0
     """Bytes a row; like the size 0 if it is compressed."""
+    is_bigendian: bool = False
+    """Order of the bytes of 16 bits."""
 
     @property
     def data(self) -> UInt8[np.ndarray, " n"]:
@@ -202,7 +226,8 @@ def read_image(message: BagMessage) -> ImageMessage:
     def read() -> ImageMessage:
         if hasattr(value, "step"):
             size = (int(value.height), int(value.width), int(value.step))
-            return ImageMessage(_stamp(value), message.topic, value, str(value.encoding), False, *size)
+            order = bool(getattr(value, "is_bigendian", False))
+            return ImageMessage(_stamp(value), message.topic, value, str(value.encoding), False, *size, order)
         return ImageMessage(_stamp(value), message.topic, value, str(value.format), True)
 
     return _checked(message, read)
@@ -386,6 +411,35 @@ def read_transforms(message: BagMessage) -> list[Transform]:
                 pose = _pose(each.translation, each.rotation)
                 found.append(Transform(_frame(each.parent_frame_id), _frame(each.child_frame_id), stamp.time_ns, pose))
         return found
+
+    return _checked(message, read)
+
+
+# Boxes
+
+
+class LabelBox(NamedTuple):
+    """Labeled box of a road user, in the frame of its stamp."""
+
+    id: str
+    class_name: str
+    size_lwh: tuple[float, float, float]
+    center_to_frame: Pose
+
+
+def read_boxes(message: BagMessage) -> tuple[Stamp, list[LabelBox]]:
+    """Decode an array of detections; raises ValueError. Those without an id are of a detector, and left out."""
+    value = decoded(message)
+
+    def read() -> tuple[Stamp, list[LabelBox]]:
+        found: list[LabelBox] = []
+        for each in value.detections:
+            center, size = each.bbox.center, each.bbox.size
+            name = str(each.results[0].hypothesis.class_id) if each.results else ""
+            if each.id:
+                pose = _pose(center.position, center.orientation)
+                found.append(LabelBox(str(each.id), name, (size.x, size.y, size.z), pose))
+        return _stamp(value), found
 
     return _checked(message, read)
 

@@ -22,13 +22,15 @@ from ..capture import (
     abbreviated_names,
 )
 from ..driving_log import DrivingLog, LidarScan
-from ..geometry import OPENCV_FROM_VEHICLE_AXES, Pose, camera_of_image, invert_pose, opencv_camera_of_matrix
+from ..geometry import OPENCV_FROM_VEHICLE_AXES, BoxSample, Pose, camera_of_image, invert_pose, opencv_camera_of_matrix
 from .containers import BagMessage, Container, Place, Topic, open_bag
 from .messages import (
     CalibrationMessage,
+    LabelBox,
     Stamp,
     Transform,
     kind_of,
+    read_boxes,
     read_calibration,
     read_cloud,
     read_image,
@@ -41,6 +43,9 @@ _VEHICLES = ("base_link", "base_footprint", "ego", "base")
 _PICTURE_WORDS = ("compressed", "image", "image_raw", "image_color", "image_rect", "image_rect_color",
                   "image_rect_compressed", "image_raw_compressed", "raw", "rect")  # fmt: skip
 """Last parts of topics that do not tell cameras apart."""
+
+_LABELS = "labels"
+"""Last part of topics whose detections are labels: those of others are a detector's."""
 
 _FISHEYES = ("equidistant", "fisheye", "kannala_brandt")
 _ROAD_M = 0.0  # in the frame base_link, which is on the ground (REP 105 leaves its height open)
@@ -101,6 +106,7 @@ class _Contents:
     sizes: dict[Topic, tuple[int, int]] = field(default_factory=dict[Topic, tuple[int, int]])
     """Size of a topic's first image."""
     clouds: dict[Topic, list[_Recorded]] = field(default_factory=dict[Topic, list[_Recorded]])
+    boxes: list[tuple[Stamp, list[LabelBox]]] = field(default_factory=list[tuple[Stamp, list[LabelBox]]])
     untouched: dict[Topic, str] = field(default_factory=dict[Topic, str])
     others: set[Topic] = field(default_factory=set[Topic])
     faults: dict[Topic, list[str]] = field(default_factory=lambda: defaultdict[Topic, list[str]](list))
@@ -144,6 +150,10 @@ class _Contents:
             self.tree.add(read_transforms(message), is_static=topic.name.endswith("tf_static"))
         elif kind == "pose":
             self.odometry.append(message)
+        elif kind == "boxes":
+            if topic.name.rpartition("/")[2] == _LABELS:
+                stamp, found = read_boxes(message)
+                self.boxes.append((_timed(stamp, message), found))
         elif kind == "calibration":
             found = read_calibration(message)
             self.calibrations.setdefault(topic, found)
@@ -259,6 +269,7 @@ class _Reader:
         else:
             self.log.road_m = -EGO_HEIGHT_M if self._is_camera(vehicle) else _ROAD_M
             self._add_stamps(vehicle, world)
+            self._add_boxes(world)
             recorded = self._clouds()
             self.log.scans, self.log.scan_count = self._scans(recorded, vehicle, world), len(recorded)
             capture = self.log.capture()
@@ -367,6 +378,16 @@ class _Reader:
                 self.log.stamps.append((time_ns * 1e-9, self._vehicle_to_world(vehicle, world, time_ns)))
             except ValueError:  # other frames of the chain may begin later
                 continue
+
+    def _add_boxes(self, world: str) -> None:
+        for stamp, boxes in self.contents.boxes:
+            with self.log.omitting("boxes"):
+                to_world = self.tree.pose(stamp.frame, world, stamp.time_ns)
+                self.log.box_times_s.append(stamp.time_ns * 1e-9)
+                for each in boxes:
+                    pose = to_world @ each.center_to_frame
+                    box = BoxSample(each.id, each.class_name, stamp.time_ns * 1e-9, each.size_lwh, pose)
+                    self.log.boxes.append(box)
 
     def _vehicle_to_world(self, vehicle: str, world: str, time_ns: int) -> Pose:
         """Pose of x forward, y left, z up; a camera that is the vehicle itself has other axes."""

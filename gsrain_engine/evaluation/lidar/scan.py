@@ -412,6 +412,8 @@ _ON_ROAD_M = 0.5
 _BEAM_ROAD_M = 0.25  # largest height difference from the road of road points
 _SMALLEST_STEPS = 0.5 / 255  # share of the scale assumed for an intensity of 0, which was rounded down
 _DETECTED_SHARE = 0.99
+_FINE_STEPS, _FINE_SHARE = 256, 0.2  # different intensities in a sweep, beyond which they were computed, not rounded
+_LIGHTEST_ROAD = 0.5  # reflectance of a matt road; asphalt has 0.1 to 0.3
 
 
 def full_intensity(sweep: LidarSweep) -> float:
@@ -425,17 +427,17 @@ def estimate_sensor_range(sweep: LidarSweep, full: float) -> float | None:
     """Range in meters at which the sensor detects 10 %, estimated from the sweep; None without intensities.
 
     A sensor that detects reflectance rho at range r detects 10 % at r sqrt(0.1 / rho) at least. The 99 % quantile over
-    a sweep's returns is used, since its faintest intensities are rounded.
+    a sweep's returns is used, since the faintest intensities of real sensors are rounded to some 255 steps; the largest
+    of all if they are not, as in recordings of virtual lidars.
     """
     if sweep.intensities is None:
         return None
     ranges = np.linalg.norm(sweep.points_m - sweep.origin_m, axis=1)
     reflectances, ranges = _reflectances(sweep, full)[ranges > 1], ranges[ranges > 1]
-    return (
-        float(np.quantile(ranges * np.sqrt(STATED_REFLECTANCE / reflectances), _DETECTED_SHARE))
-        if len(ranges)
-        else None
-    )
+    if not len(ranges):
+        return None
+    share = 1.0 if _are_computed(reflectances) else _DETECTED_SHARE
+    return float(np.quantile(ranges * np.sqrt(STATED_REFLECTANCE / reflectances), share))
 
 
 def sweep_beams(
@@ -446,7 +448,8 @@ def sweep_beams(
     Detected points must be detectable: reflectances, the intensities over `full`, are raised to the sensor's detection
     threshold where lower. Points nearer than `clear_m` (the own vehicle, placeholders at the origin) are unaffected.
     With `ego`, the vehicle's track, points at its road's height are road; and a sensor position on the road (in
-    datasets with points in the vehicle's frame) is raised to `ROOF_M`.
+    datasets with points in the vehicle's frame) is raised to `ROOF_M`. Surfaces of virtual lidars are matt: what is
+    lighter than a road could be at its angle is a curb or the foot of a wall.
     """
     full = full_intensity(sweep) if full is None else full
     pose = None if ego is None else ego.pose(sweep.time_s)
@@ -460,20 +463,24 @@ def sweep_beams(
     directions = away / np.maximum(ranges, 1e-9)[:, None]
     directions[ranges < 1e-9] = (1, 0, 0)
     weakest = sensor.detectable(np.where(untouched, sensor.clear_m, ranges))
+    reflectances = _reflectances(sweep, full)
     road_cosines = np.zeros(len(ranges))
     if pose is not None:
         up = pose[:3, 2]  # follows the slope under the vehicle
         heights = (sweep.points_m - pose[:3, 3]) @ up + EGO_HEIGHT_M
         sensor_height = float((sweep.origin_m - pose[:3, 3]) @ up) + EGO_HEIGHT_M
         cosines = np.clip((sensor_height - heights) / np.maximum(ranges, 1e-9), 0, 1)
-        road_cosines = np.where(np.abs(heights) < _BEAM_ROAD_M, cosines, 0.0)
+        is_road = np.abs(heights) < _BEAM_ROAD_M
+        if _are_computed(reflectances):
+            is_road &= reflectances <= _LIGHTEST_ROAD * cosines
+        road_cosines = np.where(is_road, cosines, 0.0)
     return Beams(
         time_s=sweep.time_s,
         origin_m=sweep.origin_m,
         directions=directions,
         ranges_m=ranges,
         points_m=sweep.points_m,
-        reflectances=np.maximum(_reflectances(sweep, full), weakest),
+        reflectances=np.maximum(reflectances, weakest),
         road_cosines=road_cosines,
         untouched=untouched,
         intensities=sweep.intensities,
@@ -485,6 +492,11 @@ def _reflectances(sweep: LidarSweep, full: float) -> Float64[np.ndarray, " p"]:
     if sweep.intensities is None:
         return np.full(len(sweep.points_m), MATT)
     return np.maximum(sweep.intensities.astype(np.float64) / full, _SMALLEST_STEPS)
+
+
+def _are_computed(reflectances: Float64[np.ndarray, " p"]) -> bool:
+    """Return whether reflectances have more steps than the 256 or so of a real sensor."""
+    return len(np.unique(reflectances)) > max(_FINE_STEPS, _FINE_SHARE * len(reflectances))
 
 
 # Turns

@@ -1,19 +1,26 @@
 """Roll-outs as bags of ROS 2: read by rosbags, and as a capture by our own reader."""
 
 import sys
+from types import SimpleNamespace
 
+import msgspec
 import numpy as np
 import pytest
 
 from app.main import BAD_INPUT, run
-from gsrain_engine.datasets.capture import LidarSweep
+from gsrain_engine.datasets.capture import EGO_HEIGHT_M, LidarSweep
 from gsrain_engine.datasets.open_capture import open_capture
-from gsrain_engine.evaluation.lidar.scan import RainyScan
+from gsrain_engine.evaluation.lidar.scan import RainyScan, ReturnOutcome, capture_turns, scan_in_rain, scene_turns
+from gsrain_engine.evaluation.lidar.sensor import SENSORS
+from gsrain_engine.rain.settings import RainSettings
+from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.scene.camera import Camera
-from gsrain_engine.simulation.lidar_turns import LidarTurnInRain
+from gsrain_engine.simulation.lidar_turns import LidarTurnInRain, rollout_lidar_turns
+from gsrain_engine.simulation.playback import RolloutPlayback
 from gsrain_engine.simulation.rollout import CameraImage
 from gsrain_extras.ros2.bag import write_rollout_bag
-from small_rollout import approach
+from small_rollout import approach, ego, rollout
+from small_rollout import step as small_step
 
 rosbags = pytest.importorskip("rosbags.highlevel")
 
@@ -32,7 +39,7 @@ def turns(run):
         x, y = np.meshgrid(np.linspace(-9, 9, 25), np.linspace(-3, 3, 17))
         points = np.stack([x.ravel() + step.ego.x_m, y.ravel(), 0 * x.ravel()], axis=1).astype(np.float32)
         count = len(points)
-        sweep = LidarSweep(step.time_s, points, pose[:3, 3])
+        sweep = LidarSweep(step.time_s, points, pose[:3, 3], np.full(count, 0.2, np.float32))
         scan = RainyScan(sweep, np.arange(count), np.zeros(count, bool), np.ones(count, np.int8), np.full(count, 100.0))
         yield LidarTurnInRain(step.step, scan, pose)
 
@@ -59,7 +66,7 @@ def test_rosbags_reads_poses_images_lidar_and_labels(tmp_path):
     assert (label.bbox.size.x, label.bbox.center.position.z) == (4.0, 0.75)
     assert [each.action for each in found["/labels/markers"][0][1].markers] == [3, 0]
     points = np.frombuffer(found["/lidar/points"][2][1].data.tobytes(), np.float32).reshape(-1, 4)
-    np.testing.assert_allclose(points[0], [-9, -3, -1.9, 20.0], atol=1e-5)  # of the sensor, and 20 dB
+    np.testing.assert_allclose(points[0], [-9, -3, -1.9, 0.2], atol=1e-5)  # of the sensor, and a reflectance
 
 
 def test_a_bag_opens_as_a_capture_and_has_the_same_bytes_again(tmp_path):
@@ -75,6 +82,52 @@ def test_a_bag_opens_as_a_capture_and_has_the_same_bytes_again(tmp_path):
     np.testing.assert_allclose([capture[0].camera.cx, capture[0].camera.cy], [30, 20])
     assert abs(int(capture[3].image.mean()) - 30) < 2
     assert abs(np.median(capture.sweeps[0].points_m[:, 2]) + 1.5) < 1e-3  # the road, below the ego
+    (box,) = capture.boxes
+    assert (box.id, box.class_name, box.size_lwh) == ("lead", "car", (4.0, 2.0, 1.5))
+    np.testing.assert_allclose(box.track.pose(capture[3].time_s)[:3, 3], [60.0, 0.0, -1.5], atol=1e-6)
+
+
+class Standing(RolloutPlayback):
+    """Playback in which a scene stays as it is, with its rig at one place."""
+
+    def __init__(self, run, scene, rig):
+        self.rollout, self.base, self.rig_pose = run, scene, rig
+        self.scenario = SimpleNamespace(rain=RainSettings(intensity_mm_h=0.0))
+
+    def scene(self, time_s):
+        return self.base
+
+    def rig_to_world(self, time_s):
+        return self.rig_pose
+
+    def scene_time_s(self, time_s):
+        return time_s
+
+
+@pytest.mark.street
+def test_the_lidar_of_the_street_and_of_its_bag_lose_the_same_returns_in_rain(tmp_path):
+    from gsrain_extras.street.scenes import STREET
+
+    scene, sensor, bins = STREET.build(), SENSORS["64"], [2, 5, 10, 20, 30, 50, 80, 120]
+    dry, rain = (RainSimulation.start(RainSettings(intensity_mm_h=each)) for each in (0.0, 12.0))
+    rig = scene.ego_to_world(0.0)
+    own = msgspec.structs.replace(ego(rig[0, 3], rig[1, 3]), z_m=float(rig[2, 3]) - EGO_HEIGHT_M)
+    played = Standing(rollout([small_step(0, own)]), scene, rig)
+    image = CameraImage(0, "FRONT", np.zeros((40, 60, 3), np.uint8), Camera(60, 40, 50.0, 50.0, 30.0, 20.0, np.eye(4)))
+    write_rollout_bag(tmp_path / "run.ros2", played.rollout, [image], rollout_lidar_turns(played, sensor))
+    capture = open_capture(tmp_path / "run.ros2")
+    assert 0 < capture.sweeps[0].intensities.min() < capture.sweeps[0].intensities.max() <= 0.2
+    counts = []
+    for turn in (*scene_turns(scene, sensor, [0.0]), *capture_turns(capture, sensor)):
+        assert len(scan_in_rain(turn.beams, turn.sensor, dry, turn.anchor_to_world).false_ranges_m) == 0
+        fates = scan_in_rain(turn.beams, turn.sensor, rain, turn.anchor_to_world).fates
+        ranges, is_kept = turn.beams.ranges_m, fates == ReturnOutcome.KEPT
+        counts.append([np.histogram(ranges[mask], bins)[0] for mask in (turn.beams.is_echo, is_kept)])
+    (clear, kept), (clear_again, kept_again) = counts
+    np.testing.assert_array_equal(clear_again, clear)
+    assert clear.min() > 60 and 0.85 < kept[-2] / clear[-2] < 0.95
+    share = kept / clear
+    assert (np.abs(kept_again - kept) <= 1 + np.sqrt(clear * share * (1 - share))).all(), (kept, kept_again)
 
 
 def test_a_picture_without_a_step_is_refused_and_nothing_is_left(tmp_path):
