@@ -66,7 +66,10 @@ class RecordingLidar:
 @takes_set
 def export_rain(
     source: Annotated[
-        str, option('Scene, "street", or a recording (nuScenes, KITTI, Waymo, MCAP, ROS 2 bag, folder of images).')
+        str,
+        option(
+            'Scene, "street", or a recording (nuScenes, KITTI, Argoverse 2, Waymo, MCAP, ROS 2 bag, folder of images).'
+        ),
     ],
     /,
     *,

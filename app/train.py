@@ -30,7 +30,9 @@ TrainingOptions = options_of(TrainingSettings, "reconstruct", topic="Training")
 
 @takes_set
 def reconstruct(
-    capture: Annotated[Path, option("COLMAP, nerfstudio, DGP, nuScenes, KITTI, Waymo, or a capture folder.")],
+    capture: Annotated[
+        Path, option("COLMAP, nerfstudio, DGP, nuScenes, KITTI, Argoverse 2, Waymo, or a capture folder.")
+    ],
     /,
     *,
     output: SceneFolder,

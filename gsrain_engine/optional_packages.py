@@ -30,7 +30,9 @@ OPTIONAL_PACKAGES: Mapping[str, OptionalPackage] = {
     "safetensors": OptionalPackage("safetensors", "diffusion", "weights in .safetensors files"),
     "onnxruntime": OptionalPackage("onnxruntime", "evaluate", "the detectors of gsrain evaluate detection"),
     "pycocotools": OptionalPackage("pycocotools", "evaluate", "average precision in gsrain evaluate detection"),
-    "pyarrow": OptionalPackage("pyarrow", "drive", "gsrain sweep, roll-outs as Parquet, Waymo Perception v2"),
+    "pyarrow": OptionalPackage(
+        "pyarrow", "drive", "gsrain sweep, roll-outs as Parquet, Waymo Perception v2, Argoverse 2"
+    ),
     "distributed": OptionalPackage("distributed", "drive", "gsrain sweep on a Dask cluster"),
     "gymnasium": OptionalPackage("gymnasium", "drive", "the environments gsrain/Drive-v0 and gsrain/DrivePlan-v0"),
     "scenariogeneration": OptionalPackage("scenariogeneration", "drive", "writing OpenSCENARIO and OpenDRIVE"),

@@ -19,8 +19,9 @@ from ..scene.lens import Lens
 from .capture import Capture, CaptureError, CaptureFrame, check_inside
 from .driving_log import DrivingLog, LidarScan
 from .geometry import BoxSample, Pose, invert_pose, named_pose, opencv_camera
-from .io.arrays import WRONG_VALUES, read_json_object, read_npz, what_is_wrong
+from .io.arrays import WRONG_VALUES, read_json_object, what_is_wrong
 from .io.images import image_size, read_color
+from .io.sweep_files import ArchiveFile
 
 _BOXES_3D = "1"  # annotation type BOUNDING_BOX_3D
 
@@ -225,16 +226,13 @@ class _DgpLidar:
     sensor: DgpSensor
 
     def scan(self, folder: Path) -> LidarScan:
-        file, fields = folder / str(self.cloud["filename"]), [str(name) for name in self.cloud["point_format"]]
-        rows = np.asarray(read_npz(file, "data"), np.float64)
-        if rows.ndim != 2 or rows.shape[1] != len(fields):
-            raise ValueError(f"an array of {rows.shape}, expected a column for each of {' '.join(fields)}")
-        points = rows[:, [fields.index(axis) for axis in "XYZ"]]
-        intensity = next((fields.index(name) for name in ("I", "INTENSITY") if name in fields), None)
+        fields = tuple(str(name) for name in self.cloud["point_format"])
+        key = ArchiveFile(folder / str(self.cloud["filename"]), fields)
+        turn = key.read()
         with np.errstate(over="ignore"):
-            light = None if intensity is None else rows[:, intensity].astype(np.float32)
-        to_vehicle = self.sensor.to_vehicle
-        return LidarScan.placed(self.time_s, self.to_world @ invert_pose(to_vehicle), to_vehicle, points, light)
+            light = None if turn.intensities is None else turn.intensities.astype(np.float32)
+        vehicle, to_vehicle = self.to_world @ invert_pose(self.sensor.to_vehicle), self.sensor.to_vehicle
+        return LidarScan.placed(self.time_s, vehicle, to_vehicle, turn.points_m, light, key)
 
 
 def _dict_values(values: Any) -> list[Any]:

@@ -26,8 +26,9 @@ from .geometry import (
     rigid_pose,
     translation_pose,
 )
-from .io.arrays import RowFile, read_float32_rows, read_text
+from .io.arrays import read_text
 from .io.images import image_size, images_in, read_color
+from .io.sweep_files import RowFile
 
 Calibration = dict[str, Float64[np.ndarray, " _"]]
 """Numbers of each line of a file, by its name."""
@@ -128,8 +129,9 @@ def _scans(
     for file in files:
         with log.omitting(f"{sensor}/{file.name}"):
             number = _number_of(file, times, poses)
-            points, light = read_float32_rows(file, 4)  # m, x forward, y left, z up; reflectance 0..1
-            yield LidarScan.placed(times[number], poses[number], to_vehicle, points, light, RowFile(file, 4))
+            key = RowFile(file, 4)  # m, x forward, y left, z up; reflectance 0..1
+            turn = key.read()
+            yield LidarScan.placed(times[number], poses[number], to_vehicle, turn.points_m, turn.intensities, key)
 
 
 # KITTI odometry

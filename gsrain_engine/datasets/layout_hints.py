@@ -99,7 +99,7 @@ _OPTIONAL = frozenset({"points3D.bin", "sparse", "database.db", "other transform
 _UNREAD = "it is not read: give a folder of its pictures, or write its poses as those of COLMAP or nerfstudio"
 
 _ADVICE = {
-    **dict.fromkeys(("KITTI-360", "Argoverse 2", "PandaSet", "Zenseact Open Dataset", "EuRoC", "TUM RGB-D"), _UNREAD),
+    **dict.fromkeys(("KITTI-360", "PandaSet", "Zenseact Open Dataset", "EuRoC", "TUM RGB-D"), _UNREAD),
     "KITTI object detection": "it has single pictures and no drives; give its folder image_2",
     "nuScenes": "MMDetection3D's info file (.pkl) in the same folder would do, too",
     "COLMAP": "COLMAP's mapper writes sparse/0 with cameras.bin and images.bin",

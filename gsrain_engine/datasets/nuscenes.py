@@ -29,9 +29,10 @@ from .geometry import (
     rigid_from_numbers,
     rigid_from_quaternion,
 )
-from .io.arrays import WRONG_VALUES, RowFile, read_float32_rows, what_is_wrong
+from .io.arrays import WRONG_VALUES, what_is_wrong
 from .io.images import image_size, images_in, read_color
 from .io.safe_pickle import read_pickle
+from .io.sweep_files import RowFile
 
 _LIDAR_COLUMNS = 5  # x y z (m; right, forward, up) intensity (0..255) ring, float32
 _US = 1e-6
@@ -247,10 +248,9 @@ class _SceneReader:
         for each in lidars:
             with self.log.omitting(each.filename):
                 to_vehicle = self.calibrated[each.calibrated_sensor_token].pose()
-                file = self.root / each.filename
-                points, light = read_float32_rows(file, _LIDAR_COLUMNS)
-                key = RowFile(file, _LIDAR_COLUMNS)
-                yield LidarScan.placed(each.timestamp * _US, self._vehicle(each), to_vehicle, points, light, key)
+                key, vehicle = RowFile(self.root / each.filename, _LIDAR_COLUMNS), self._vehicle(each)
+                turn = key.read()
+                yield LidarScan.placed(each.timestamp * _US, vehicle, to_vehicle, turn.points_m, turn.intensities, key)
 
 
 # MMDetection3D's info files (.pkl), of versions 1.x ("data_list") and before ("infos")
@@ -355,9 +355,9 @@ def _scans(folder: Path, infos: list[_Info], log: DrivingLog) -> Iterator[LidarS
         if info.lidar_file:
             with log.omitting(info.lidar_file):
                 file = _find(folder, info.lidar_file, "LIDAR_TOP")
-                points, light = read_float32_rows(file, info.lidar_columns)
                 pose, key = info.vehicle_to_world, RowFile(file, info.lidar_columns)
-                yield LidarScan.placed(info.time_s, pose, info.lidar_to_vehicle, points, light, key)
+                turn = key.read()
+                yield LidarScan.placed(info.time_s, pose, info.lidar_to_vehicle, turn.points_m, turn.intensities, key)
 
 
 def _find(folder: Path, named: str, sensor: str) -> Path:
@@ -456,7 +456,7 @@ def _has_old_boxes(folder: Path, infos: list[_Info]) -> bool:
     for info in infos:
         if info.has_old_boxes and info.lidar_file and len(info.boxes):
             try:
-                points, _ = read_float32_rows(_find(folder, info.lidar_file, "LIDAR_TOP"), info.lidar_columns)
+                points = RowFile(_find(folder, info.lidar_file, "LIDAR_TOP"), info.lidar_columns).read().points_m
             except CaptureError:
                 continue
             with np.errstate(invalid="ignore"):  # NaN lies in no box

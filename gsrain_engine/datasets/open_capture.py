@@ -9,6 +9,7 @@ from ..plugins import CAPTURE_FORMATS, Extension, load_extensions, warn_once
 from ..safe_io.file_kinds import find_file_kind, kind_of_file
 from ..safe_io.file_names import visible_siblings
 from ..scene.formats.registry import format_of
+from .argoverse2 import read_argoverse2, recognizes_argoverse2
 from .bags.containers import recognizes_bag
 from .bags.reader import read_bag
 from .bdd100k import read_bdd100k, recognizes_bdd100k
@@ -51,6 +52,7 @@ FORMATS: tuple[CaptureFormat, ...] = (
     CaptureFormat("Waymo Perception v2", recognizes_waymo_tables, read_waymo_tables, names_inside=True),
     CaptureFormat("KITTI raw", recognizes_kitti_raw, read_kitti_raw),
     CaptureFormat("KITTI odometry", recognizes_kitti_odometry, read_kitti_odometry),
+    CaptureFormat("Argoverse 2", recognizes_argoverse2, read_argoverse2),
     CaptureFormat("ROS 2 bag (MCAP, SQLite)", recognizes_bag, read_bag),
     CaptureFormat("nerfstudio", recognizes_nerfstudio, read_nerfstudio),
     CaptureFormat("COLMAP", recognizes_colmap, read_colmap),

@@ -40,7 +40,7 @@ def write_rainy_bag(
     if source.is_file():
         yield Progress(0.0, source.name)
         yield from rain.copied(0, target)
-        files.changed += 1
+        files.changed.append(target.name)
         yield Progress(1.0, "Written")
         return
     with whole_folder(target) as folder:
@@ -48,7 +48,7 @@ def write_rainy_bag(
             path = folder / container.path.relative_to(source)
             path.parent.mkdir(parents=True, exist_ok=True)
             yield from rain.copied(number, path)
-            files.changed += 1
+            files.changed.append(container.path.relative_to(source).as_posix())
         yield Progress(1.0, f"Copying {METADATA}")
         files.add_rest(source, folder, {container.path for container in recording.containers})
 

@@ -1,4 +1,4 @@
-"""Rainy copies of recordings whose images and lidar turns are files: nuScenes, KITTI, DGP, folders of images."""
+"""Rainy copies of recordings made of files: nuScenes, KITTI, Argoverse 2, DGP, folders of images."""
 
 import os
 import shutil
@@ -13,14 +13,14 @@ from PIL import Image
 
 from ..appearance.capture_photos import COPY_JPEG_QUALITY
 from ..datasets.capture import Capture, CaptureFrame, LidarSweep
-from ..datasets.io.arrays import RowFile
+from ..datasets.io.sweep_files import SweepFile
 from ..datasets.kitti import kitti_surroundings
 from ..render.images import write_image
 from ..safe_io.files import whole_folder
-from ..safe_io.limits import open_file, read_file
+from ..safe_io.limits import open_file
 from ..scene.progress import Progress
 from ..threads import results_in_order
-from .lidar import LidarRain
+from .lidar import LidarRain, like_recorded
 from .pictures import MakePicture, RainyPictures
 
 _COPIED_BYTES = 1 << 30
@@ -28,11 +28,12 @@ _COPIED_BYTES = 1 << 30
 
 @dataclass(slots=True)
 class FileCopies:
-    """Files of a recording that its rainy copy does not change, and the numbers of all files of the copy."""
+    """Files of a recording that its rainy copy does not change, and what became of all files of the copy."""
 
     hard_links: bool = False
     """True to store unchanged files once, where the disk can: then editing one edits the recording's, too."""
-    changed: int = 0
+    changed: list[str] = field(default_factory=list[str])
+    """Names of the files in rain, relative to the copy; of a copy that is one file, its name."""
     copied: int = 0
     linked: int = 0
     left_out: list[str] = field(default_factory=list[str])
@@ -107,20 +108,20 @@ def write_rainy_folder(
         with closing(results_in_order(calls, pictures.threads)) as results:
             for number, ((file, view), is_changed) in enumerate(results, 1):
                 if is_changed:
-                    files.changed += 1
+                    files.changed.append((place / file.relative_to(source)).as_posix())
                 else:
                     files.add(file, folder / file.relative_to(source))
                 yield Progress(number / steps, view.name)
         turns = (
-            (rows, partial(_write_rows, rows, sweep, lidar, folder / rows.file.relative_to(source)))
-            for rows, sweep in sweeps.items()
+            (stored, partial(_write_sweep, stored, sweep, lidar, folder / stored.file.relative_to(source)))
+            for stored, sweep in sweeps.items()
         )
         with closing(results_in_order(turns, pictures.threads)) as results:
-            for number, (rows, _) in enumerate(results, len(photos) + 1):
-                files.changed += 1
-                yield Progress(number / steps, rows.file.name)
+            for number, (stored, _) in enumerate(results, len(photos) + 1):
+                files.changed.append((place / stored.file.relative_to(source)).as_posix())
+                yield Progress(number / steps, stored.file.name)
         yield Progress(1.0, "Copying all other files")
-        files.add_rest(source, folder, {*photos, *(rows.file for rows in sweeps)})
+        files.add_rest(source, folder, {*photos, *(stored.file for stored in sweeps)})
         for file, name in outside.items():
             files.add(file, whole / name)
 
@@ -134,11 +135,13 @@ def _write_picture(view: CaptureFrame, make: MakePicture, path: Path) -> bool:
     return rainy is not photo
 
 
-def _write_rows(rows: RowFile, sweep: LidarSweep, lidar: LidarRain | None, path: Path) -> None:
+def _write_sweep(stored: SweepFile, sweep: LidarSweep, lidar: LidarRain | None, path: Path) -> None:
     assert lidar is not None and sweep.source is not None
-    columns = np.frombuffer(read_file(rows.file), np.float32).reshape(-1, rows.columns)
+    turn, origin = stored.read(), np.array(stored.origin_m)
+    rainy = lidar.rainy(turn.points_m, turn.intensities, sweep.source.sensor_to_world, origin, sweep.time_s)
+    light = None if turn.intensities is None else like_recorded(rainy.intensities, turn.intensities)
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(lidar.with_rain(columns, sweep.source.sensor_to_world, sweep.time_s).tobytes())
+    path.write_bytes(turn.encode(rainy.rows, rainy.points_m, light))
 
 
 def _photos(capture: Capture, source: Path) -> Mapping[Path, CaptureFrame]:
@@ -151,11 +154,11 @@ def _photos(capture: Capture, source: Path) -> Mapping[Path, CaptureFrame]:
     return photos
 
 
-def _sweeps(capture: Capture, source: Path) -> Mapping[RowFile, LidarSweep]:
+def _sweeps(capture: Capture, source: Path) -> Mapping[SweepFile, LidarSweep]:
     return {
         sweep.source.key: sweep
         for sweep in capture.sweeps
         if sweep.source is not None
-        and isinstance(sweep.source.key, RowFile)
+        and isinstance(sweep.source.key, SweepFile)
         and sweep.source.key.file.is_relative_to(source)
     }

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from threading import Lock
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Float64, Int64
+from jaxtyping import Bool, Float, Float32, Float64, Int64, Real
 
 from ..datasets.capture import Capture, LidarSweep
 from ..datasets.geometry import Pose, invert_pose, transform_points
@@ -50,7 +50,7 @@ class LidarRain:
     def rainy(
         self,
         stored_m: Float[np.ndarray, "n 3"],
-        intensities: Float[np.ndarray, " n"] | None,
+        intensities: Real[np.ndarray, " n"] | None,
         stored_to_world: Pose,
         origin_m: Float[np.ndarray, "3"],
         time_s: float,
@@ -72,23 +72,13 @@ class LidarRain:
             self.written, self.false = self.written + len(after), self.false + int(found.is_false.sum())
         return RainyRows(found.beams, back, found.sweep.intensities, found.is_false)
 
-    def with_rain(
-        self, columns: Float32[np.ndarray, "n c"], stored_to_world: Pose, time_s: float
-    ) -> Float32[np.ndarray, "m c"]:
-        """Return rows x, y, z, intensity and others, in the frame of the sensor, in rain."""
-        rainy = self.rainy(columns[:, :3], columns[:, 3], stored_to_world, np.zeros(3), time_s)
-        found = columns[rainy.rows].copy()
-        found[:, :3] = rainy.points_m
-        found[:, 3] = like_recorded(rainy.intensities, columns[:, 3])
-        return found
-
 
 _STEPS = (1.0, 1 / 255, 0.01)
 """Steps of intensities that data sets round to: whole numbers beyond 1, bytes over 255, two decimals (KITTI)."""
 _ROUNDED = 1e-3  # of a step
 
 
-def like_recorded(intensities: Float32[np.ndarray, " m"] | None, recorded: Float[np.ndarray, " n"]) -> np.ndarray:
+def like_recorded(intensities: Float32[np.ndarray, " m"] | None, recorded: Real[np.ndarray, " n"]) -> np.ndarray:
     """Intensities with the steps and the type of the recorded ones: whole numbers stay whole."""
     found = np.zeros(0) if intensities is None else intensities
     if recorded.dtype.kind in "iu":

@@ -8,7 +8,7 @@ from pathlib import Path
 from ..datasets.bags.containers import recognizes_bag
 from ..datasets.bags.reader import read_bag_recording
 from ..datasets.capture import Capture
-from ..datasets.io.arrays import RowFile
+from ..datasets.io.sweep_files import SweepFile
 from ..datasets.nuscenes import read_nuscenes, recognizes_nuscenes
 from ..datasets.open_capture import capture_format, open_capture
 from ..datasets.waymo import (
@@ -46,7 +46,7 @@ class Recording:
 
 
 def open_recording(source: Path, *, key_frames_only: bool = False) -> Recording:
-    """Open a recording for copies: nuScenes, KITTI, Waymo, MCAP, ROS 2 bags, and folders of images.
+    """Open a recording for copies: nuScenes, KITTI, Argoverse 2, DGP, Waymo, MCAP, ROS 2 bags, and folders of images.
 
     `key_frames_only` leaves out what nuScenes recorded between its annotated samples. Raises `CaptureError` if it can't
     be read, and ValueError if its unit of length is unknown.
@@ -94,6 +94,6 @@ def _waymo_tables(source: Path) -> Recording:
 
 def _folder(source: Path, capture: Capture) -> Recording:
     folder = source if source.is_dir() else source.parent  # NUSCENES/scene-0061 names a scene, not a folder
-    has_lidar = any(sweep.source is not None and isinstance(sweep.source.key, RowFile) for sweep in capture.sweeps)
+    has_lidar = any(sweep.source is not None and isinstance(sweep.source.key, SweepFile) for sweep in capture.sweeps)
     untouched = ("its lidar, in a format that can only be read",) if capture.sweeps and not has_lidar else ()
     return Recording(capture, folder, partial(write_rainy_folder, capture, folder), False, has_lidar, untouched)

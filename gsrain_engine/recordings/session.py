@@ -37,7 +37,8 @@ def export_recording(
     Args:
         renderer: Draws the images.
         recording: What is copied; names, times, calibration, labels and all else stay as they are.
-        target: New file or folder of the copy; TARGET.provenance.json beside it says what each image holds.
+        target: New file or folder of the copy; TARGET.provenance.json beside it says what each image holds, and
+            names all files that differ.
         rain: The rain.
         scene: Scene of the recording, of which the images are then rendered; None draws rain over the photographs.
         sensor: Lidar of the recording, for its limits of detection; None is one of 64 beams.
@@ -59,7 +60,8 @@ def export_recording(
     photos = PhotoRain(renderer, capture, rain) if scene is None else None
     pictures = photos or ScenePictures(renderer, scene or Scene(capture.name), capture, rain)
     yield from recording.write(target, pictures, lidar, files)
-    write_provenance(target, pictures.provenance, target.with_name(f"{target.name}.provenance.json"))
+    sidecar = target.with_name(f"{target.name}.provenance.json")
+    write_provenance(target, pictures.provenance, sidecar, {"changed_files": sorted(files.changed)})
     numbers: dict[str, Any] = {"images": pictures.written, "intensity_mm_h": rain.intensity_mm_h}
     how = "of the scene"
     if photos is not None:
@@ -79,7 +81,12 @@ def export_recording(
         numbers |= {"lidar_lost": lost, "lidar_false": lidar.false}
         what = f"{lost:,} of {lidar.recorded:,} points lost, {lidar.false:,} of drops"
         lines.append(f"{_counted(lidar.turns, 'lidar turn')}: {what}")
-    counts = {"changed": files.changed, "copied": files.copied, "linked": files.linked, "left out": len(files.left_out)}
+    counts = {
+        "changed": len(files.changed),
+        "copied": files.copied,
+        "linked": files.linked,
+        "left out": len(files.left_out),
+    }
     lines.append(f"files: {', '.join(f'{count:,} {what}' for what, count in counts.items())}")
     numbers |= {f"files_{what.replace(' ', '_')}": count for what, count in counts.items()}
     rows = [(name.replace("_", " "), value) for name, value in numbers.items()]

@@ -113,7 +113,7 @@ def write_rainy_records(
     Everything else of a frame stays: labels, calibrations, poses, and fields that are not read here. Raises
     `CaptureError` for a damaged file.
     """
-    files.changed += 1
+    files.changed.append(target.name if source.is_file() else file.relative_to(source).as_posix())
     if source.is_file():
         with whole_file(target) as partial:
             yield from _write_records(capture, file, partial, pictures, lidar)
@@ -210,7 +210,7 @@ def write_rainy_tables(
         yield from _write_images(tables, rain, folder / images.relative_to(tables.root))
         if ranges in changed:
             yield from _write_ranges(tables, rain, folder / ranges.relative_to(tables.root))
-        files.changed += len(changed)
+        files.changed += [each.relative_to(tables.root).as_posix() for each in changed]
         files.add_rest(tables.root, folder, changed)
 
 

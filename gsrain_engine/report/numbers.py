@@ -56,10 +56,14 @@ def provenance_file(output: Path) -> Path:
 
 
 def write_provenance(
-    output: Path, pictures: "Mapping[str, msgspec.Struct]", file: Path | None = None
+    output: Path,
+    pictures: "Mapping[str, msgspec.Struct]",
+    file: Path | None = None,
+    more: "Mapping[str, Any] | None" = None,
 ) -> dict[str, Any]:
     """Write what the pictures of an output hold, by name, beside it or to a file; returns it for other files."""
-    facts = run_provenance({}) | {"pictures": {name: msgspec.to_builtins(each) for name, each in pictures.items()}}
+    held = {name: msgspec.to_builtins(each) for name, each in pictures.items()}
+    facts = {**run_provenance({}), **(more or {}), "pictures": held}
     write_json(file or provenance_file(output), facts)
     return {"provenance": facts}
 

@@ -195,7 +195,7 @@ FILE_KINDS = (
     # other files
     FileSignature("a PDF", (b"%pdf-",)),
     FileSignature("a table of a data set (Parquet): give the data set's folder", (b"par1",)),
-    FileSignature("a table of a data set (Feather), such as Argoverse 2's, which is not read", (b"arrow1",)),
+    FileSignature("a table of a data set (Feather); of Argoverse 2, give the folder of the log", (b"arrow1",)),
     FileSignature("a database, such as COLMAP's: give the folder with the model (sparse/0)", (b"sqlite format 3",)),
     # by name alone: their first bytes tell nothing
     FileSignature(_CHECKPOINT, suffixes=(".pt", ".ckpt")),

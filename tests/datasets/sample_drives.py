@@ -228,6 +228,89 @@ def _info_pose(name: str, pose: np.ndarray) -> dict[str, Any]:
     return {f"{name}_translation": pose[:3, 3], f"{name}_rotation": quaternion(pose)}
 
 
+# Argoverse 2, sensor logs
+
+
+def drive_above_its_axle() -> MiniDrive:
+    return MiniDrive(road_m=-0.33)
+
+
+ARGOVERSE_LOG = "7fab2350-7eaf-3b7e-a39d-6937a4c1bede"
+
+
+def write_argoverse2(folder: Path, drive: MiniDrive | None = None) -> Path:
+    """A log as the public reader opens it: tables of Arrow, turns of half-precision points in the vehicle's frame."""
+    import pytest
+
+    arrow = pytest.importorskip("pyarrow")
+    drive, log = drive or drive_above_its_axle(), folder / ARGOVERSE_LOG
+    camera = "ring_front_center"
+    for part in ("calibration", f"sensors/cameras/{camera}", "sensors/lidar"):
+        (log / part).mkdir(parents=True)
+
+    def write(name: str, rows: dict[str, Any], compression: str = "lz4") -> None:
+        table = arrow.table(rows)
+        count = table.num_rows
+        index = {"kind": "range", "name": None, "start": 0, "stop": count, "step": 1}
+        table = table.replace_schema_metadata({"pandas": json.dumps({"index_columns": [index], "columns": []})})
+        options = arrow.ipc.IpcWriteOptions(compression=compression)
+        with (
+            arrow.OSFile(str(log / name), "wb") as sink,
+            arrow.ipc.new_file(sink, table.schema, options=options) as file,
+        ):
+            file.write_table(table)
+
+    lens = {
+        "fx_px": FOCAL,
+        "fy_px": FOCAL,
+        "cx_px": WIDTH / 2 - 0.5,
+        "cy_px": HEIGHT / 2 - 0.5,
+        "k1": -0.24,
+        "k2": -0.2,
+        "k3": 0.3,
+    }
+    sizes = {"height_px": HEIGHT, "width_px": WIDTH}
+    lens_rows = {name: [value] for name, value in lens.items()}
+    lens_rows |= {name: arrow.array([value], arrow.uint16()) for name, value in sizes.items()}
+    write("calibration/intrinsics.feather", {"sensor_name": [camera], **lens_rows})
+    sensors = {
+        camera: drive.camera_to_vehicle,
+        "up_lidar": drive.lidar_to_vehicle,
+        "down_lidar": drive.lidar_to_vehicle,
+    }
+    write("calibration/egovehicle_SE3_sensor.feather", {"sensor_name": list(sensors), **_poses([*sensors.values()])})
+    times = [round(drive.time(k) * 1e9) for k in range(drive.samples)]
+    write(
+        "city_SE3_egovehicle.feather",
+        {"timestamp_ns": times, **_poses([drive.vehicle_to_world(k) for k in range(drive.samples)])},
+    )
+    names = ("length_m", "width_m", "height_m")
+    boxes = {name: [side] * drive.samples for name, side in zip(names, BOX_LWH, strict=True)}
+    placed = _poses([drive.box_to_vehicle(k) for k in range(drive.samples)])
+    words = {"track_uuid": ["1046f12a"] * drive.samples, "category": ["REGULAR_VEHICLE"] * drive.samples}
+    write(
+        "annotations.feather",
+        {"timestamp_ns": times, **words, **boxes, **placed, "num_interior_pts": [60] * drive.samples},
+    )
+    for k, time_ns in enumerate(times):
+        (log / f"sensors/cameras/{camera}/{time_ns}.jpg").write_bytes(drive.jpeg(k))
+        mount = drive.lidar_to_vehicle
+        points = (drive.lidar_points(k) @ mount[:3, :3].T + mount[:3, 3]).astype(np.float16)
+        count = len(points)
+        rows = {axis: points[:, column] for column, axis in enumerate("xyz")}
+        rows |= {"intensity": np.full(count, 9, np.uint8), "laser_number": np.arange(count, dtype=np.uint8) % 64}
+        write(
+            f"sensors/lidar/{time_ns}.feather", {**rows, "offset_ns": np.arange(count, dtype=np.int32) * 1000}, "zstd"
+        )
+    return log
+
+
+def _poses(poses: list[np.ndarray]) -> dict[str, list[float]]:
+    turns = np.array([quaternion(pose) for pose in poses])
+    columns = {name: turns[:, column].tolist() for column, name in enumerate(("qw", "qx", "qy", "qz"))}
+    return columns | {f"t{axis}_m": [float(pose[k, 3]) for pose in poses] for k, axis in enumerate("xyz")}
+
+
 # KITTI, raw and odometry
 
 EARTH_M = 6378137.0

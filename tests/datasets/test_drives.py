@@ -26,6 +26,7 @@ from mini_drive import HEIGHT, WIDTH, MiniDrive, points_inside, turned
 from tfrecord_framing import framed
 
 from .sample_drives import (
+    ARGOVERSE_LOG,
     DRIVE,
     EARTH_M,
     LATITUDE,
@@ -36,9 +37,11 @@ from .sample_drives import (
     TO_OPENCV,
     TURN,
     damaged,
+    drive_above_its_axle,
     drive_on_the_road,
     edited,
     segment_tables,
+    write_argoverse2,
     write_dgp,
     write_frames,
     write_infos,
@@ -78,6 +81,15 @@ MINIATURES = {
     "dgp": Miniature("DGP", write_dgp, _DGP, "CAM", 0.5),
     "nuscenes": Miniature("nuScenes", write_nuscenes, (".", "v1.0-mini"), "CAM_FRONT", 9.0, "vehicle.car"),
     "kitti-raw": Miniature("KITTI raw", write_kitti, (".", RAW), "image_02", 0.25, drive=drive_on_the_road()),
+    "argoverse2": Miniature(
+        "Argoverse 2",
+        write_argoverse2,
+        (ARGOVERSE_LOG,),
+        "ring_front_center",
+        9.0,
+        "REGULAR_VEHICLE",
+        drive=drive_above_its_axle(),
+    ),
     **{
         f"infos-{layout}": Miniature(
             _MMDETECTION, partial(write_infos, layout=layout), (".", INFOS), "CAM_FRONT", 3.0, ""
@@ -362,6 +374,75 @@ def unrectified(folder: Path) -> Path:
     return write_kitti(folder).rename(folder / "2011_09_26_drive_0005_extract")
 
 
+def log_with(changes: dict[str, Any]) -> Callable[[Path], Path]:
+    return damaged(
+        write_argoverse2, {f"{ARGOVERSE_LOG}/{name}": change for name, change in changes.items()}, ARGOVERSE_LOG
+    )
+
+
+def table(change: Callable[[Any], Any]) -> Callable[[bytes], bytes]:
+    """Change of a table of Arrow."""
+
+    def changed(content: bytes) -> bytes:
+        arrow = pytest.importorskip("pyarrow")
+        found, sink = change(arrow.ipc.open_file(content).read_all()), arrow.BufferOutputStream()
+        with arrow.ipc.new_file(sink, found.schema) as writer:
+            writer.write_table(found)
+        return sink.getvalue().to_pybytes()
+
+    return changed
+
+
+def with_column(name: str, change: Callable[[list[Any]], list[Any]]) -> Callable[[bytes], bytes]:
+    def changed(found: Any) -> Any:
+        place = found.schema.get_field_index(name)
+        return found.set_column(place, name, [change(found[name].to_pylist())])
+
+    return table(changed)
+
+
+def without_column(name: str) -> Callable[[bytes], bytes]:
+    return table(lambda found: found.drop_columns([name]))
+
+
+TURNS = [f"sensors/lidar/{round(MiniDrive().time(k) * 1e9)}.feather" for k in range(3)]
+FRONT = "sensors/cameras/ring_front_center"
+FRONTS = [f"{FRONT}/{round(MiniDrive().time(k) * 1e9)}.jpg" for k in range(3)]
+POSES, MOUNTS = "city_SE3_egovehicle.feather", "calibration/egovehicle_SE3_sensor.feather"
+LENSES, LABELS = "calibration/intrinsics.feather", "annotations.feather"
+
+LOG_HOLES: list[tuple[dict[str, Any], int, int, str]] = [
+    ({FRONTS[1]: None}, 2, 3, ""),
+    ({FRONTS[1]: cut(20)}, 2, 3, "the picture is cut off"),
+    ({FRONTS[1]: b""}, 2, 3, f"{FRONTS[1].removeprefix('sensors/cameras/')} left out"),
+    ({TURNS[0]: None}, 3, 2, ""),
+    ({TURNS[0]: cut(40)}, 3, 2, "not a Feather file that can be read"),
+    ({TURNS[0]: b"ARROW1"}, 3, 2, "not a Feather file that can be read"),
+    ({TURNS[1]: without_column("z")}, 3, 2, "has no column 'z'"),
+    ({TURNS[1]: without_column("intensity")}, 3, 2, "has no column 'intensity'"),
+    ({TURNS[1]: with_column("x", lambda rows: [None, *rows[1:]])}, 3, 2, "its column 'x' has 1 gaps"),
+    ({TURNS[1]: with_column("x", lambda rows: ["far"] * len(rows))}, 3, 2, "and the type string"),
+    ({TURNS[1]: with_column("y", lambda rows: [float("inf"), *rows[1:]])}, 3, 2, "not finite, or farther than 100 km"),
+    ({POSES: with_column("timestamp_ns", lambda rows: [rows[0] + 5, *rows[1:]])}, 2, 2, f"its time is not in {POSES}"),
+    ({POSES: with_column("qw", lambda rows: [float("nan"), *rows[1:]])}, 2, 2, f"row 0 of {POSES} left out"),
+    ({MOUNTS: with_column("sensor_name", lambda rows: [rows[0], "top", "low"])}, 3, 0, f"it is not in {MOUNTS}"),
+    ({LABELS: cut(30)}, 3, 3, f"{LABELS} left out"),
+    ({LABELS: without_column("category")}, 3, 3, "has no column 'category'"),
+    ({LABELS: with_column("length_m", lambda rows: [-1.0, *rows[1:]])}, 3, 3, f"box 0 of {LABELS} left out"),
+]
+"""Damaged files of a log, the numbers of views and sweeps that are left, and what names it."""
+
+
+@pytest.mark.parametrize(("changes", "views", "sweeps", "named"), LOG_HOLES)
+def test_damage_in_a_log_of_argoverse_costs_what_it_hits(
+    changes: dict[str, Any], views: int, sweeps: int, named: str, tmp_path: Path
+) -> None:
+    capture = open_capture(log_with(changes)(tmp_path))
+    assert (len(capture), len(capture.sweeps)) == (views, sweeps)
+    assert named in "\n".join(capture.problems) and bool(capture.problems) == bool(named)
+    assert all("\n" not in problem for problem in capture.problems)
+
+
 WITH_HOLES: list[tuple[Callable[[Path], Path], int, int, tuple[str, ...]]] = [
     (damaged(write_dgp, {
         "scene_07/rgb/CAM/1.jpg": None,
@@ -434,6 +515,14 @@ REFUSED: list[tuple[Callable[[Path], Path], str]] = [
     (damaged(write_kitti, {"calib_velo_to_cam.txt": None}, RAW), "calib_velo_to_cam.txt: no such file"),
     (unrectified, "not rectified"),
     (damaged(write_sequence, {"poses/00.txt": None}, "sequences/00"), r"00\.txt: no poses of this sequence.*COLMAP"),
+    (log_with({POSES: cut(50)}), rf"{POSES}: not a Feather file"),
+    (log_with({POSES: without_column("timestamp_ns")}), f"{POSES}: has no column 'timestamp_ns'"),
+    (log_with({MOUNTS: None}), f"{MOUNTS}: no such file"),
+    (log_with({LENSES: without_column("sensor_name")}), "intrinsics.feather: has no column 'sensor_name'"),
+    (log_with({LENSES: with_column("width_px", lambda rows: [65])}), "no picture that can be used.*expected 65x48"),
+    (log_with({LENSES: with_column("fx_px", lambda rows: [0.0])}), "no picture that can be used"),
+    (log_with({LENSES: with_column("sensor_name", lambda rows: ["other"])}), "it is not in calibration/intrinsics"),
+    (log_with({FRONT: None}), "no picture that can be used"),
     (damaged(write_records, {"some.tfrecord": framed(b"\xff\xff no message")}), r"some\.tfrecord: .* Waymo Motion$"),
     (damaged(write_records, {"some.tfrecord": framed(b"")}), r"some\.tfrecord: no frame of .* Waymo Motion$"),
     (damaged(write_waymo_tables, {f"training/vehicle_pose/{SEGMENTS[0]}.parquet": cut(9)}), "vehicle_pose"),
@@ -466,6 +555,13 @@ def test_a_missing_package_is_named(
     monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(CaptureError, match=rf"needs {package}, which is not installed: .* 'gsrain\[waymo\]'"):
         open_capture(tmp_path)
+
+
+def test_a_log_of_argoverse_names_the_extra_of_recordings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    log = write_argoverse2(tmp_path)
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(CaptureError, match=r"log of Argoverse 2 needs pyarrow, .* 'gsrain\[recordings\]'"):
+        open_capture(log)
 
 
 # Real drives

@@ -59,9 +59,9 @@ NEAREST: list[tuple[Callable[[Path], Path], str]] = [
     (
         files(
             dict.fromkeys((f"calibration/{name}.feather" for name in ("intrinsics", "egovehicle_SE3_sensor")), b"")
-            | {"city_SE3_egovehicle.feather": b"", "sensors/cameras/ring_front_center/1.jpg": b""}
+            | {"sensors/cameras/ring_front_center/1.jpg": b""}
         ),
-        "Argoverse 2 (it",
+        "Argoverse 2 without city_SE3_egovehicle.feather",
     ),
     (
         files(

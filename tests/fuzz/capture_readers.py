@@ -21,6 +21,7 @@ from tests.datasets.sample_captures import points_ply, write_bdd100k, write_odd_
 from tests.datasets.sample_drives import (
     drive_on_the_road,
     segment_tables,
+    write_argoverse2,
     write_dgp,
     write_frames,
     write_infos,
@@ -143,6 +144,10 @@ def _lz4(folder: Path) -> Path:
     return write_foxglove(folder / "drive.mcap", _SMALL, compression="LZ4")
 
 
+def _argoverse2(folder: Path) -> Path:
+    return write_argoverse2(folder, _SMALL)
+
+
 def _bag(storage: str, folder: Path) -> None:
     from tests.datasets.sample_bags import drive_messages, write_bag
 
@@ -166,6 +171,7 @@ CAPTURE_READERS = (
     _row("nuscenes-infos-old", _INFOS, lambda folder: write_infos(folder, _SMALL, "0.x"), _PKL, _BYTES),
     _row("kitti-raw", "KITTI raw", lambda folder: write_kitti(folder, drive_on_the_road()), _TEXT, _BYTES, _XML),
     _row("kitti-odometry", "KITTI odometry", write_sequence, _TEXT, _BYTES),
+    Reader("argoverse2", _argoverse2, _read, CaptureError, (("*.feather", damaged_bytes), *_PICTURES)),
     _row("waymo-records", "Waymo Perception v1", lambda folder: write_frames(folder / "a.tfrecord", _SMALL), _RECORD),
     _row(
         "waymo-tables",

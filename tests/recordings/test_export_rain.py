@@ -34,6 +34,8 @@ def test_a_rainy_copy_has_rain_in_its_images_and_all_else_as_it_was(recording, t
     assert before == {file: file.read_bytes() for file in recording.rglob("*") if file.is_file()}
     clear, rainy = open_capture(recording), open_capture(target)
     images = {view.image_file for view in clear}
+    sidecar = json.loads(target.with_name(f"{target.name}.provenance.json").read_text())
+    assert sidecar["changed_files"] == sorted(file.relative_to(recording).as_posix() for file in images)
     for file, content in before.items():
         is_same = (target / file.relative_to(recording)).read_bytes() == content
         assert is_same == (file not in images), file

@@ -22,6 +22,8 @@ from datasets.sample_bags import (
 )
 from datasets.sample_drives import (
     segment_tables,
+    write_argoverse2,
+    write_dgp,
     write_frames,
     write_kitti,
     write_nuscenes,
@@ -55,9 +57,25 @@ def rainy_copy(source: Path, target: Path, intensity_mm_h: float = 60.0) -> Lida
     recording = open_recording(source)
     rain = RainSettings(intensity_mm_h=intensity_mm_h)
     lidar = LidarRain(recording.capture, rain, SENSORS["64"], full=None, estimates_range=True)
-    for _ in recording.write(target, Negatives(), lidar, FileCopies()):
+    files = FileCopies()
+    for _ in recording.write(target, Negatives(), lidar, files):
         pass
+    assert_all_changes_are_named(source, target, files)
     return lidar
+
+
+def assert_all_changes_are_named(source: Path, target: Path, files: FileCopies) -> None:
+    if source.is_file():
+        assert files.changed == [target.name]
+        return
+    home = source.parent if target.joinpath(source.name).is_dir() else source
+    home = source.parents[1] if target.joinpath("sequences").is_dir() and source.parent.name == "sequences" else home
+    differ = {
+        each.relative_to(target).as_posix()
+        for each in target.rglob("*")
+        if each.is_file() and each.read_bytes() != (home / each.relative_to(target)).read_bytes()
+    }
+    assert differ <= set(files.changed) and len(files.changed) == len(set(files.changed))
 
 
 def assert_pictures_are_negatives(source: Path, target: Path) -> None:
@@ -231,7 +249,16 @@ def odometry(folder: Path) -> tuple[Path, Path]:
     return write_sequence(folder), folder
 
 
-@pytest.mark.parametrize("write", [whole_nuscenes, raw_kitti, odometry])
+def argoverse(folder: Path) -> tuple[Path, Path]:
+    return 2 * (write_argoverse2(folder),)
+
+
+def dgp(folder: Path) -> tuple[Path, Path]:
+    write_dgp(folder)
+    return folder, folder
+
+
+@pytest.mark.parametrize("write", [whole_nuscenes, raw_kitti, odometry, argoverse, dgp])
 def test_folders_have_other_pictures_and_lidar_alone(write, tmp_path):
     source, whole = write(tmp_path / "drive")
     target = tmp_path / "rainy"
@@ -240,9 +267,36 @@ def test_folders_have_other_pictures_and_lidar_alone(write, tmp_path):
     assert before == {file: file.read_bytes() for file in whole.rglob("*") if file.is_file()}
     for file, content in before.items():
         same = (target / file.relative_to(whole)).read_bytes() == content
-        assert same == (file.suffix not in (".jpg", ".bin")), file
+        is_turn = file.suffix in (".bin", ".npz") or file.parent.name == "lidar"
+        assert same == (file.suffix != ".jpg" and not is_turn), file
     assert_pictures_are_negatives(source, target)
     assert_lidar_is_in_rain(source, target)
+
+
+def test_turns_of_argoverse_and_dgp_keep_their_columns_types_and_compression(tmp_path):
+    arrow = pytest.importorskip("pyarrow")
+    source = write_argoverse2(tmp_path / "av2")
+    rainy_copy(source, tmp_path / "rainy")
+    for file in (source / "sensors" / "lidar").iterdir():
+        content = (tmp_path / "rainy" / file.relative_to(source)).read_bytes()
+        clear, rainy = (arrow.ipc.open_file(each).read_all() for each in (file.read_bytes(), content))
+        assert rainy.schema.types == clear.schema.types and rainy.column_names == clear.column_names
+        assert b"\x28\xb5\x2f\xfd" in content and b"pandas" in rainy.schema.metadata
+        assert json.loads(rainy.schema.metadata[b"pandas"])["index_columns"][0]["stop"] == len(rainy) < len(clear)
+        columns = {name: np.array(clear[name]) for name in clear.column_names}
+        rows = np.searchsorted(columns["offset_ns"], np.array(rainy["offset_ns"]))
+        assert (np.diff(rows) > 0).all()
+        np.testing.assert_array_equal(np.array(rainy["laser_number"]), columns["laser_number"][rows])
+        ranges = [np.linalg.norm([np.array(t[a], float) for a in "xyz"], axis=0) for t in (clear, rainy)]
+        assert np.median(np.abs(ranges[1] - ranges[0][rows])) < 0.1
+    write_dgp(tmp_path / "dgp")
+    (lidar,) = tmp_path.glob("dgp/scene_07/point_cloud/LIDAR")
+    with np.load(lidar / "0.npz") as archive:
+        np.savez(lidar / "0.npz", other=np.arange(3), data=archive["data"])
+    rainy_copy(tmp_path / "dgp", tmp_path / "rainy_dgp")
+    with np.load(lidar / "0.npz") as clear, np.load(tmp_path / "rainy_dgp/scene_07/point_cloud/LIDAR/0.npz") as rainy:
+        assert rainy.files == clear.files and (rainy["other"] == clear["other"]).all()
+        assert rainy["data"].dtype == clear["data"].dtype and 0 < len(rainy["data"]) < len(clear["data"])
 
 
 def test_a_bag_s_progress_is_by_finished_images_and_clouds(tmp_path):

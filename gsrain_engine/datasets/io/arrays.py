@@ -4,7 +4,7 @@ import json
 import os
 import zipfile
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float32
@@ -29,22 +29,6 @@ def read_floats(file: Path) -> Float32[np.ndarray, "..."]:
         raise CaptureError(f"{file}: not a readable .npy file ({error})") from None
     with np.errstate(over="ignore", invalid="ignore"):  # values too large for 32 bits become infinite
         return np.array(numbers.reshape(shape, order="F" if is_fortran else "C"), np.float32, order="C")
-
-
-class RowFile(NamedTuple):
-    """File of rows of float32 numbers: x, y, z, intensity, and others."""
-
-    file: Path
-    columns: int
-
-
-def read_float32_rows(file: Path, columns: int) -> tuple[Float32[np.ndarray, "p 3"], Float32[np.ndarray, " p"]]:
-    """Read a lidar's points (the first three columns) and intensities (the fourth) from rows of float32 numbers."""
-    data = read_bytes(file)
-    if len(data) % (4 * columns) or not data:
-        raise CaptureError(f"{file}: {len(data)} bytes are not rows of {columns} numbers")
-    rows = np.frombuffer(data, np.float32).reshape(-1, columns)
-    return np.ascontiguousarray(rows[:, :3]), np.ascontiguousarray(rows[:, 3])
 
 
 def read_bytes(file: Path, max_bytes: int = MAX_FILE_BYTES) -> bytes:
