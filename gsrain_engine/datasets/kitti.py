@@ -65,7 +65,7 @@ class KittiCamera:
         return CaptureFrame(name, camera, partial(read_color, file), time_s, self.name)
 
 
-def _read_calibration(file: Path) -> Calibration:
+def read_kitti_calibration(file: Path) -> Calibration:
     """Read lines of `name: numbers`, skipping others. Raises `CaptureError`."""
     values: Calibration = {}
     for line in read_text(file, _MAX_TEXT_BYTES).splitlines():
@@ -77,7 +77,7 @@ def _read_calibration(file: Path) -> Calibration:
     return values
 
 
-def _numbers_of(values: Calibration, name: str, count: int, file: Path) -> Float64[np.ndarray, " n"]:
+def calibration_numbers(values: Calibration, name: str, count: int, file: Path) -> Float64[np.ndarray, " n"]:
     """Numbers of one name; `CaptureError` if missing or not `count` finite ones."""
     found = values.get(name)
     if found is None or len(found) != count or not np.abs(found).max(initial=0) < _LARGEST:
@@ -183,10 +183,10 @@ def _read_sequence(folder: Path, problems: list[str]) -> Capture:
     to_world = {number: _TO_VEHICLE @ poses[number] for number in times if number in poses}
     log.stamps = [(times[number], pose @ OPENCV_FROM_VEHICLE_AXES) for number, pose in to_world.items()]
     file = folder / "calib.txt"
-    calibration = _read_calibration(file)
+    calibration = read_kitti_calibration(file)
 
     def camera_of(sensor: str) -> tuple[KittiCamera, _Times]:
-        return KittiCamera(sensor, _numbers_of(calibration, f"P{sensor[-1]}", 12, file).reshape(3, 4)), times
+        return KittiCamera(sensor, calibration_numbers(calibration, f"P{sensor[-1]}", 12, file).reshape(3, 4)), times
 
     to_first = {number: invert_pose(pose) for number, pose in to_world.items()}
     sensors = [f"image_{k}" for k in (2, 3, 0, 1)]
@@ -194,7 +194,7 @@ def _read_sequence(folder: Path, problems: list[str]) -> Capture:
     files = sorted((folder / "velodyne").glob("*.bin"))
     if files:
         with log.omitting("lidar"):
-            to_vehicle = _TO_VEHICLE @ rigid_from_numbers(_numbers_of(calibration, "Tr", 12, file))
+            to_vehicle = _TO_VEHICLE @ rigid_from_numbers(calibration_numbers(calibration, "Tr", 12, file))
             places = dict(log.stamps)
             vehicles = {number: places[time] for number, time in times.items() if time in places}
             log.scans = _scans(log, "velodyne", files, times, vehicles, to_vehicle)
@@ -268,8 +268,8 @@ def _read_drive(folder: Path, problems: list[str]) -> Capture:
     log = DrivingLog(folder.name, road_m=-IMU_HEIGHT_M, problems=problems)
     day = folder if (folder / _CALIBRATIONS[0]).is_file() else folder.parent
     camera_file, lidar_file, imu_file = (day / name for name in _CALIBRATIONS)
-    cameras, lidar, imu = (_read_calibration(file) for file in (camera_file, lidar_file, imu_file))
-    rectify = _rigid(_numbers_of(cameras, "R_rect_00", 9, camera_file), np.zeros(3), camera_file)
+    cameras, lidar, imu = (read_kitti_calibration(file) for file in (camera_file, lidar_file, imu_file))
+    rectify = _rigid(calibration_numbers(cameras, "R_rect_00", 9, camera_file), np.zeros(3), camera_file)
     lidar_to_first = rectify @ _calibrated_pose(lidar, lidar_file)
     imu_to_lidar = _calibrated_pose(imu, imu_file)
     records: dict[int, OxtsRecord] = {}
@@ -281,7 +281,7 @@ def _read_drive(folder: Path, problems: list[str]) -> Capture:
     log.stamps = [(times[k], pose) for k, pose in poses.items() if k in times]
 
     def camera_of(sensor: str) -> tuple[KittiCamera, _Times]:
-        projection = _numbers_of(cameras, f"P_rect_{sensor[-2:]}", 12, camera_file).reshape(3, 4)
+        projection = calibration_numbers(cameras, f"P_rect_{sensor[-2:]}", 12, camera_file).reshape(3, 4)
         return KittiCamera(sensor, projection), _read_times(folder / sensor, problems)
 
     to_first = {number: lidar_to_first @ imu_to_lidar @ invert_pose(pose) for number, pose in poses.items()}
@@ -328,7 +328,7 @@ def _add_boxes(log: DrivingLog, file: Path, times: _Times, poses: _Poses, lidar_
 
 
 def _calibrated_pose(values: Calibration, file: Path) -> Pose:
-    return _rigid(_numbers_of(values, "R", 9, file), _numbers_of(values, "T", 3, file), file)
+    return _rigid(calibration_numbers(values, "R", 9, file), calibration_numbers(values, "T", 3, file), file)
 
 
 def _rigid(turn: Float64[np.ndarray, "9"], place: Float64[np.ndarray, "3"], file: Path) -> Pose:

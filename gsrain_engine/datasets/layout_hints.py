@@ -24,7 +24,6 @@ _KINDS = {
         "image_2": "image_2 training/image_2",
         "calib": "calib/[0-9]*.txt training/calib/[0-9]*.txt",
         "label_2": "label_2 training/label_2",
-        "poses": "poses.txt",
     },
     "KITTI odometry": {
         "calib.txt": "calib.txt sequences/*/calib.txt",
@@ -100,7 +99,6 @@ _UNREAD = "it is not read: give a folder of its pictures, or write its poses as 
 
 _ADVICE = {
     **dict.fromkeys(("KITTI-360", "PandaSet", "Zenseact Open Dataset", "EuRoC", "TUM RGB-D"), _UNREAD),
-    "KITTI object detection": "it has single pictures and no drives; give its folder image_2",
     "nuScenes": "MMDetection3D's info file (.pkl) in the same folder would do, too",
     "COLMAP": "COLMAP's mapper writes sparse/0 with cameras.bin and images.bin",
     "3D Gaussian Splatting": (

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from gsrain_engine.datasets.kitti import CAMERA_HEIGHT_M, IMU_HEIGHT_M
+from gsrain_engine.datasets.kitti_objects import LIDAR_HEIGHT_M
 from gsrain_engine.datasets.waymo import parsed
 from mini_drive import BOX_LWH, FOCAL, HEIGHT, STEP_M, WIDTH, YAW, MiniDrive, quaternion, turned
 from tfrecord_framing import framed
@@ -380,6 +381,38 @@ def write_kitti(day: Path, drive: MiniDrive | None = None) -> Path:
         '<?xml version="1.0" encoding="UTF-8" standalone="yes" ?>\n<!DOCTYPE boost_serialization>\n'
         f"<boost_serialization><tracklets><count>1</count>{item}</tracklets></boost_serialization>\n"
     )
+    return folder
+
+
+def write_kitti_objects(root: Path, drive: MiniDrive | None = None) -> Path:
+    """Pictures as the object benchmark has them, here of one drive; the world is the lidar's frame of each."""
+    drive, folder = drive or MiniDrive(road_m=-LIDAR_HEIGHT_M), root / "training"
+    for part in ("image_2", "calib", "velodyne", "label_2"):
+        (folder / part).mkdir(parents=True)
+    baseline = np.eye(4)
+    baseline[0, 3] = BASELINE_M
+    rectify = np.eye(4)
+    rectify[1:3, 1:3] = [[np.cos(0.01), -np.sin(0.01)], [np.sin(0.01), np.cos(0.01)]]
+    to_first = np.linalg.inv(baseline) @ np.linalg.inv(drive.camera_to_vehicle)
+    unrectified = np.linalg.inv(rectify) @ to_first
+    for k in range(drive.samples):
+        lines = [f"P{camera}: {text_row(INTRINSICS @ baseline[:3])}" for camera in (0, 1, 2, 3)]
+        lines += [f"R0_rect: {text_row(rectify[:3, :3])}", f"Tr_velo_to_cam: {text_row(unrectified[:3])}"]
+        (folder / f"calib/{k:06d}.txt").write_text(
+            "\n".join([*lines, f"Tr_imu_to_velo: {text_row(np.eye(4)[:3])}", ""])
+        )
+        (folder / f"image_2/{k:06d}.jpg").write_bytes(drive.jpeg(k))
+        points = drive.lidar_points(k) @ drive.lidar_to_vehicle[:3, :3].T + drive.lidar_to_vehicle[:3, 3]
+        rows = np.column_stack([points, np.full(len(points), 0.25)]).astype(np.float32)
+        rows.tofile(folder / f"velodyne/{k:06d}.bin")
+        box = to_first @ drive.box_to_vehicle(k)
+        length, width, height = BOX_LWH
+        x, y, z = box[:3, 3] + height / 2 * -box[:3, 2]
+        turn = np.arctan2(-box[2, 0], box[0, 0])
+        numbers = " ".join(f"{value:.9f}" for value in (height, width, length, x, y, z, turn))
+        label = f"Car 0.00 0 -1.57 10.0 10.0 20.0 20.0 {numbers}\n"
+        ignored = "DontCare -1 -1 -10 5.0 5.0 9.0 9.0 -1 -1 -1 -1000 -1000 -1000 -10\n"
+        (folder / f"label_2/{k:06d}.txt").write_text(label + ignored)
     return folder
 
 

@@ -26,6 +26,7 @@ from datasets.sample_drives import (
     write_dgp,
     write_frames,
     write_kitti,
+    write_kitti_objects,
     write_nuscenes,
     write_segment,
     write_sequence,
@@ -258,7 +259,12 @@ def dgp(folder: Path) -> tuple[Path, Path]:
     return folder, folder
 
 
-@pytest.mark.parametrize("write", [whole_nuscenes, raw_kitti, odometry, argoverse, dgp])
+def kitti_objects(folder: Path) -> tuple[Path, Path]:
+    write_kitti_objects(folder)
+    return folder, folder
+
+
+@pytest.mark.parametrize("write", [whole_nuscenes, raw_kitti, odometry, argoverse, dgp, kitti_objects])
 def test_folders_have_other_pictures_and_lidar_alone(write, tmp_path):
     source, whole = write(tmp_path / "drive")
     target = tmp_path / "rainy"
