@@ -125,12 +125,12 @@ def _add_boxes(log: DrivingLog, file: Path, time_s: float, first_to_world: Pose)
                 if len(words) < _LABEL_WORDS:
                     raise ValueError(f"has {len(words)} words, expected {_LABEL_WORDS}")
                 height, width, length, x, y, z, turn = (float(word) for word in words[8:15])
-                pose = first_to_world @ _box_to_first(np.array([x, y - height / 2, z]), turn)
+                pose = first_to_world @ kitti_box(np.array([x, y - height / 2, z]), turn)
                 box = BoxSample(f"{file.stem}-{number}", words[0], time_s, (length, width, height), pose)
                 log.boxes.append(box)
 
 
-def _box_to_first(center: Float64[np.ndarray, "3"], turn: float) -> Pose:
-    """Box (x forward, y left, z up) to camera axes; it is turned about y, from x."""
+def kitti_box(center: Float64[np.ndarray, "3"], turn: float) -> Pose:
+    """Pose of a box (x forward, y left, z up) by its center in camera axes and its rotation about y, from x."""
     forward, up = np.array([np.cos(turn), 0.0, -np.sin(turn)]), np.array([0.0, -1.0, 0.0])
     return rigid_pose(np.column_stack([forward, np.cross(up, forward), up]), center)

@@ -33,6 +33,8 @@ from .io.arrays import WRONG_VALUES, what_is_wrong
 from .io.images import image_size, images_in, read_color
 from .io.safe_pickle import read_pickle
 from .io.sweep_files import RowFile
+from .kitti import KittiCamera
+from .kitti_objects import LIDAR_HEIGHT_M, kitti_box
 
 _LIDAR_COLUMNS = 5  # x y z (m; right, forward, up) intensity (0..255) ring, float32
 _US = 1e-6
@@ -260,6 +262,7 @@ class _SceneReader:
 _NEXT_DRIVE_S = 5.0
 _CAMERA = re.compile(r"(^|_)CAM_(FRONT|BACK)(_LEFT|_RIGHT)?_")
 _BOX_NUMBERS = 7
+_KITTI_FOLDERS = ("image_2", "velodyne_reduced", "velodyne")
 
 
 def recognizes_nuscenes_infos(path: Path) -> bool:
@@ -297,7 +300,7 @@ def read_nuscenes_infos(path: Path) -> Capture:
     if len(drives) > 1 and path.parent.suffix != ".pkl":
         problems.append(f"drive 0 is read of {len(drives)}; open another as {file}/1")
     name = f"{file.stem}_{number}" if len(drives) > 1 else file.stem
-    return _capture(file.parent, drives[number], DrivingLog(name, road_m=0.0, problems=problems))
+    return _capture(file.parent, drives[number], DrivingLog(name, road_m=drives[number][0].road_m, problems=problems))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -324,6 +327,8 @@ class _Info:
     class_names: tuple[str, ...]
     boxes: Float64[np.ndarray, "b 7"]
     """Center x y z, three sides, rotation about z, as in the file."""
+    road_m: float = 0.0
+    """Height of the road in the vehicle's frame according to the data set."""
     has_old_boxes: bool = False
     """True if sides may be width, length, height and the rotation clockwise from -y, as before version 1.0."""
 
@@ -372,6 +377,7 @@ def _found(folder: Path, named: str, sensor: str) -> Path | None:
     parts = [part for part in Path(named).parts if part not in ("..", ".", "/")]
     places = [folder.joinpath(*parts[start:]) for start in range(len(parts))]
     places += [folder / below / sensor / parts[-1] for below in ("samples", "sweeps") if parts]
+    places += [folder / "training" / below / parts[-1] for below in _KITTI_FOLDERS if parts]
     return next((place for place in places if place.is_file()), None)
 
 
@@ -401,6 +407,8 @@ def _read_rows(rows: Any, read: Callable[[Any], _Info], file: Path) -> tuple[lis
 
 
 def _info_of_1_x(row: Any, names: Mapping[int, str]) -> _Info:
+    if "ego2global" not in row and "lidar2ego" not in row["lidar_points"]:
+        return _info_of_kitti(row, names)
     to_world = rigid_from_numbers(row["ego2global"])
     lidar = row["lidar_points"]
     to_vehicle = rigid_from_numbers(lidar["lidar2ego"])
@@ -416,12 +424,46 @@ def _info_of_1_x(row: Any, names: Mapping[int, str]) -> _Info:
         for channel, each in row.get("images", {}).items()
         if each.get("img_path")
     )
+    boxes, classes = _instances(row, names)
+    file, columns = str(lidar.get("lidar_path") or ""), int(lidar.get("num_pts_feats", 5))
+    return _Info(float(row["timestamp"]), to_world, to_vehicle, file, columns, cameras, classes, boxes)
+
+
+def _instances(row: Any, names: Mapping[int, str]) -> tuple[Float64[np.ndarray, "b 7"], tuple[str, ...]]:
+    """Boxes as in the file, and the names of their classes."""
     instances = [each for each in row.get("instances", ()) if len(each.get("bbox_3d", ())) >= _BOX_NUMBERS]
     boxes = np.array([each["bbox_3d"][:_BOX_NUMBERS] for each in instances], np.float64).reshape(-1, _BOX_NUMBERS)
     labels = [int(each["bbox_label_3d"]) for each in instances]
     classes = tuple(names.get(label, f"class {label}" if label >= 0 else "unknown") for label in labels)
-    file, columns = str(lidar.get("lidar_path") or ""), int(lidar.get("num_pts_feats", 5))
-    return _Info(float(row["timestamp"]), to_world, to_vehicle, file, columns, cameras, classes, boxes)
+    return boxes, classes
+
+
+def _info_of_kitti(row: Any, names: Mapping[int, str]) -> _Info:
+    """A picture of KITTI's object detection, whose world and vehicle are the lidar's frame; each is a drive.
+
+    Boxes are in the first rectified camera: bottom center, length, height, width, and the rotation about y.
+    """
+    named = {str(name): each for name, each in row["images"].items() if "lidar2cam" in each and each.get("img_path")}
+    if not named:
+        raise ValueError("has no picture with lidar2cam")
+    to_first = rigid_from_numbers(next(iter(named.values()))["lidar2cam"])
+    number = int(row.get("sample_idx", row.get("sample_id", 0)))
+    time_s = number * 2 * _NEXT_DRIVE_S
+    cameras: list[_InfoCamera] = []
+    for name, each in named.items():
+        projection = np.asarray(each["cam2img"], np.float64)[:3]
+        camera = KittiCamera(name, projection)
+        to_world = invert_pose(camera.from_first @ to_first)
+        cameras.append(_InfoCamera(name, str(each["img_path"]), time_s, projection[:, :3], to_world))
+    labeled = [each for each in row.get("instances", ()) if int(each.get("bbox_label_3d", -1)) >= 0]  # not DontCare
+    stored, classes = _instances({"instances": labeled}, names)
+    boxes = np.zeros_like(stored)
+    for box, (x, y, z, length, height, width, turn) in zip(boxes, stored.tolist(), strict=True):
+        pose = invert_pose(to_first) @ kitti_box(np.array([x, y - height / 2, z]), turn)
+        box[:] = [*pose[:3, 3], length, width, height, np.arctan2(pose[1, 0], pose[0, 0])]
+    lidar, same = row["lidar_points"], np.eye(4)
+    file, columns = str(lidar.get("lidar_path") or ""), int(lidar.get("num_pts_feats", 4))
+    return _Info(time_s, same, same, file, columns, tuple(cameras), classes, boxes, road_m=-LIDAR_HEIGHT_M)
 
 
 def _info_before_1_0(row: Any) -> _Info:

@@ -416,6 +416,29 @@ def write_kitti_objects(root: Path, drive: MiniDrive | None = None) -> Path:
     return folder
 
 
+def write_kitti_infos(root: Path) -> Path:
+    """The same pictures, and the info file that MMDetection3D makes of them."""
+    folder = write_kitti_objects(root)
+    rows: list[dict[str, Any]] = []
+    for number in range(DRIVE.samples):
+        lines = (folder / f"calib/{number:06d}.txt").read_text().splitlines()
+        matrices = {name: np.array(words.split(), float) for name, _, words in (each.partition(":") for each in lines)}
+        projection, rectify, to_camera = np.eye(4), np.eye(4), np.eye(4)
+        projection[:3] = matrices["P2"].reshape(3, 4)
+        rectify[:3, :3] = matrices["R0_rect"].reshape(3, 3)
+        to_camera[:3] = matrices["Tr_velo_to_cam"].reshape(3, 4)
+        words = (folder / f"label_2/{number:06d}.txt").read_text().split()
+        height, width, length, *place, turn = (float(word) for word in words[8:15])
+        box = {"bbox_3d": [*place, length, height, width, turn], "bbox_label_3d": 0}
+        camera = {"img_path": f"{number:06d}.jpg", "cam2img": projection, "lidar2cam": rectify @ to_camera}
+        images = {"CAM0": {"cam2img": projection}, "CAM2": camera, "R0_rect": rectify}
+        lidar = {"lidar_path": f"{number:06d}.bin", "num_pts_feats": 4}
+        rows.append({"sample_idx": number, "images": images, "lidar_points": lidar, "instances": [box]})
+    file = root / "kitti_infos_train.pkl"
+    file.write_bytes(pickle.dumps({"metainfo": {"categories": {"Car": 0}}, "data_list": rows}))
+    return file
+
+
 TO_OPENCV = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
 """Axes x forward, y left, z up to OpenCV's."""
 

@@ -1,17 +1,18 @@
 """KITTI's object detection: pictures with lidar and boxes of their own, and what damage costs."""
 
+import pickle
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from gsrain_engine.datasets.capture import EGO_HEIGHT_M
+from gsrain_engine.datasets.capture import EGO_HEIGHT_M, CaptureError
 from gsrain_engine.datasets.geometry import project_points
 from gsrain_engine.datasets.open_capture import capture_format, open_capture
 from mini_drive import BOX_LWH, STEP_M, points_inside, turned
 
-from .sample_drives import damaged, write_kitti_objects
+from .sample_drives import damaged, write_kitti_infos, write_kitti_objects
 
 
 def test_pictures_of_kitti_s_objects_have_lidar_and_boxes_of_their_own(tmp_path: Path) -> None:
@@ -36,6 +37,26 @@ def test_pictures_of_kitti_s_objects_have_lidar_and_boxes_of_their_own(tmp_path:
         np.testing.assert_allclose(pose[:3, 3], [12.0 - number * STEP_M, 2.0, -EGO_HEIGHT_M], atol=2e-3)
         np.testing.assert_allclose(pose[:3, 0], [np.cos(np.radians(20)), np.sin(np.radians(20)), 0.0], atol=1e-4)
         assert points_inside(one, one.sweeps[0].points_m, 0, 0.0, slack_m=-0.008) == 60
+
+
+def test_info_files_of_mmdetection3d_hold_the_same_pictures(tmp_path: Path) -> None:
+    file = write_kitti_infos(tmp_path)
+    folder = tmp_path / "training"
+    for number in range(3):
+        own, other = open_capture(file / str(number)), open_capture(folder / f"{number:06d}")
+        assert len(own) == len(own.sweeps) == len(own.boxes) == 1 and not own.problems
+        np.testing.assert_allclose(own[0].camera.world_to_camera, other[0].camera.world_to_camera, atol=1e-6)
+        np.testing.assert_allclose(own.sweeps[0].points_m, other.sweeps[0].points_m, atol=1e-6)
+        assert own.boxes[0].class_name == "Car" and own.boxes[0].size_lwh == other.boxes[0].size_lwh
+        poses = [each.boxes[0].track.pose(0.0) for each in (own, other)]
+        assert poses[0] is not None and poses[1] is not None
+        np.testing.assert_allclose(poses[0], poses[1], atol=0.02)
+    values = pickle.loads(file.read_bytes())
+    first, second, third = values["data_list"]
+    del first["images"]["CAM2"]["lidar2cam"], second["lidar_points"], third["images"]["CAM2"]["cam2img"]
+    file.write_bytes(pickle.dumps(values))
+    with pytest.raises(CaptureError, match="no sample that can be used"):
+        open_capture(file)
 
 
 def cut(count: int) -> Any:
