@@ -34,10 +34,10 @@ Calibration = dict[str, Float64[np.ndarray, " _"]]
 """Numbers of each line of a file, by its name."""
 
 _Poses = Mapping[int, Pose]
-_Times = Mapping[int, float]
+Times = Mapping[int, float]
 """Poses and times by the number of an image."""
 
-_MAX_TEXT_BYTES = 1 << 28
+MAX_TEXT_BYTES = 1 << 28
 _LARGEST = 1e12  # larger numbers indicate a damaged file
 IMU_HEIGHT_M, CAMERA_HEIGHT_M = 0.93, 1.65
 """Height of the recording car's sensors above the road (figure 3 of the paper)."""
@@ -68,7 +68,7 @@ class KittiCamera:
 def read_kitti_calibration(file: Path) -> Calibration:
     """Read lines of `name: numbers`, skipping others. Raises `CaptureError`."""
     values: Calibration = {}
-    for line in read_text(file, _MAX_TEXT_BYTES).splitlines():
+    for line in read_text(file, MAX_TEXT_BYTES).splitlines():
         name, _, rest = line.partition(":")
         try:
             values[name.strip()] = np.array([float(word) for word in rest.split()], np.float64)
@@ -94,12 +94,12 @@ def _number_of(file: Path, *known: Mapping[int, object]) -> int:
     return number
 
 
-def _add_views(
+def add_kitti_views(
     log: DrivingLog,
     folder: Path,
     sensors: Sequence[str],
     below: str,
-    camera_of: Callable[[str], tuple[KittiCamera, _Times]],
+    camera_of: Callable[[str], tuple[KittiCamera, Times]],
     world_to_first: _Poses,
 ) -> None:
     """Add the images of the color cameras, the first two `sensors`, or of the gray ones if there are none.
@@ -118,14 +118,15 @@ def _add_views(
     log.views.sort(key=lambda view: view.name)
 
 
-def _scans(
+def kitti_scans(
     log: DrivingLog,
     sensor: str,
     files: Sequence[Path],
-    times: _Times,
+    times: Times,
     poses: _Poses,
     to_vehicle: Pose,
 ) -> Iterator[LidarScan]:
+    """Turns of a lidar in files of x, y, z and reflectance, for which a time and the vehicle's pose are known."""
     for file in files:
         with log.omitting(f"{sensor}/{file.name}"):
             number = _number_of(file, times, poses)
@@ -176,7 +177,7 @@ def _read_sequence(folder: Path, problems: list[str]) -> Capture:
     log = DrivingLog(folder.name, road_m=-CAMERA_HEIGHT_M, problems=problems)
     file = folder / "times.txt"
     try:
-        times = dict(enumerate(float(line) for line in read_text(file, _MAX_TEXT_BYTES).split()))
+        times = dict(enumerate(float(line) for line in read_text(file, MAX_TEXT_BYTES).split()))
     except ValueError as error:
         raise CaptureError(f"{file}: {error}") from None
     poses = _first_camera_poses(_pose_file(folder), problems)
@@ -185,19 +186,19 @@ def _read_sequence(folder: Path, problems: list[str]) -> Capture:
     file = folder / "calib.txt"
     calibration = read_kitti_calibration(file)
 
-    def camera_of(sensor: str) -> tuple[KittiCamera, _Times]:
+    def camera_of(sensor: str) -> tuple[KittiCamera, Times]:
         return KittiCamera(sensor, calibration_numbers(calibration, f"P{sensor[-1]}", 12, file).reshape(3, 4)), times
 
     to_first = {number: invert_pose(pose) for number, pose in to_world.items()}
     sensors = [f"image_{k}" for k in (2, 3, 0, 1)]
-    _add_views(log, folder, sensors, "", camera_of, to_first)
+    add_kitti_views(log, folder, sensors, "", camera_of, to_first)
     files = sorted((folder / "velodyne").glob("*.bin"))
     if files:
         with log.omitting("lidar"):
             to_vehicle = _TO_VEHICLE @ rigid_from_numbers(calibration_numbers(calibration, "Tr", 12, file))
             places = dict(log.stamps)
             vehicles = {number: places[time] for number, time in times.items() if time in places}
-            log.scans = _scans(log, "velodyne", files, times, vehicles, to_vehicle)
+            log.scans = kitti_scans(log, "velodyne", files, times, vehicles, to_vehicle)
             log.scan_count = len(files)
     return log.capture()
 
@@ -207,7 +208,7 @@ def _first_camera_poses(file: Path, problems: list[str]) -> dict[int, Pose]:
     if not file.is_file():
         raise CaptureError(f"{file}: no poses of this sequence (KITTI keeps those of 11 to 21); COLMAP can find them")
     poses: dict[int, Pose] = {}
-    for number, line in enumerate(read_text(file, _MAX_TEXT_BYTES).splitlines()):
+    for number, line in enumerate(read_text(file, MAX_TEXT_BYTES).splitlines()):
         try:
             poses[number] = rigid_from_numbers([float(word) for word in line.split()])
         except ValueError as error:
@@ -269,7 +270,7 @@ def _read_drive(folder: Path, problems: list[str]) -> Capture:
     day = folder if (folder / _CALIBRATIONS[0]).is_file() else folder.parent
     camera_file, lidar_file, imu_file = (day / name for name in _CALIBRATIONS)
     cameras, lidar, imu = (read_kitti_calibration(file) for file in (camera_file, lidar_file, imu_file))
-    rectify = _rigid(calibration_numbers(cameras, "R_rect_00", 9, camera_file), np.zeros(3), camera_file)
+    rectify = calibration_turn(cameras, "R_rect_00", camera_file)
     lidar_to_first = rectify @ _calibrated_pose(lidar, lidar_file)
     imu_to_lidar = _calibrated_pose(imu, imu_file)
     records: dict[int, OxtsRecord] = {}
@@ -277,30 +278,36 @@ def _read_drive(folder: Path, problems: list[str]) -> Capture:
         with log.omitting("a place of the vehicle"):
             records[_number_of(file)] = _read_oxts(file)
     poses = dict(zip(records, oxts_poses(list(records.values())), strict=True))
-    times = _read_times(folder / "oxts", problems)
+    times = read_kitti_times(folder / "oxts", problems)
     log.stamps = [(times[k], pose) for k, pose in poses.items() if k in times]
 
-    def camera_of(sensor: str) -> tuple[KittiCamera, _Times]:
+    def camera_of(sensor: str) -> tuple[KittiCamera, Times]:
         projection = calibration_numbers(cameras, f"P_rect_{sensor[-2:]}", 12, camera_file).reshape(3, 4)
-        return KittiCamera(sensor, projection), _read_times(folder / sensor, problems)
+        return KittiCamera(sensor, projection), read_kitti_times(folder / sensor, problems)
 
     to_first = {number: lidar_to_first @ imu_to_lidar @ invert_pose(pose) for number, pose in poses.items()}
-    _add_views(log, folder, _CAMERAS, "data", camera_of, to_first)
+    add_kitti_views(log, folder, _CAMERAS, "data", camera_of, to_first)
     lidar_folder = folder / "velodyne_points"
-    lidar_times = _read_times(lidar_folder, problems) if lidar_folder.is_dir() else {}
+    lidar_times = read_kitti_times(lidar_folder, problems) if lidar_folder.is_dir() else {}
     to_vehicle = invert_pose(imu_to_lidar)
     if (folder / "tracklet_labels.xml").is_file():
         with log.omitting("boxes"):
             _add_boxes(log, folder / "tracklet_labels.xml", lidar_times or times, poses, to_vehicle)
     files = sorted((lidar_folder / "data").glob("*.bin"))
-    log.scans = _scans(log, "velodyne_points", files, lidar_times, poses, to_vehicle)
+    log.scans = kitti_scans(log, "velodyne_points", files, lidar_times, poses, to_vehicle)
     log.scan_count = len(files)
     return log.capture()
 
 
-def _read_times(sensor: Path, problems: list[str]) -> dict[int, float]:
+def calibration_turn(values: Calibration, name: str, file: Path) -> Pose:
+    """Rotation of one name; raises `CaptureError`."""
+    return _rigid(calibration_numbers(values, name, 9, file), np.zeros(3), file)
+
+
+def read_kitti_times(sensor: Path, problems: list[str]) -> dict[int, float]:
+    """Times of a sensor's images or turns, by their numbers. Raises `CaptureError` without the file."""
     times: dict[int, float] = {}
-    for number, line in enumerate(read_text(sensor / "timestamps.txt", _MAX_TEXT_BYTES).splitlines()):
+    for number, line in enumerate(read_text(sensor / "timestamps.txt", MAX_TEXT_BYTES).splitlines()):
         try:
             times[number] = _seconds(line)
         except ValueError:
@@ -316,7 +323,7 @@ def _seconds(line: str) -> float:
     return (moment - datetime(1970, 1, 1, tzinfo=UTC)).total_seconds() + float(f"0.{fraction or 0}")
 
 
-def _add_boxes(log: DrivingLog, file: Path, times: _Times, poses: _Poses, lidar_to_vehicle: Pose) -> None:
+def _add_boxes(log: DrivingLog, file: Path, times: Times, poses: _Poses, lidar_to_vehicle: Pose) -> None:
     items = _read_tracklets(file)
     log.box_times_s = [times[number] for number in poses if number in times]
     for name, (class_name, size, first, centers_to_lidar) in enumerate(items):
@@ -359,7 +366,7 @@ def oxts_poses(records: Sequence[OxtsRecord]) -> list[Pose]:
 
 
 def _read_oxts(file: Path) -> OxtsRecord:
-    words = read_text(file, _MAX_TEXT_BYTES).split()
+    words = read_text(file, MAX_TEXT_BYTES).split()
     try:
         values = np.array([float(word) for word in words[:6]], np.float64)
     except ValueError as error:
@@ -389,15 +396,22 @@ _Tracklet = tuple[str, tuple[float, float, float], int, list[Pose]]
 
 
 def _read_tracklets(file: Path) -> list[_Tracklet]:
-    """Read all; `CaptureError` if the file is damaged, or defines XML entities, which can expand without bound."""
-    text = read_text(file, _MAX_TEXT_BYTES)
+    try:
+        items = [_tracklet(item) for item in read_kitti_xml(file).iterfind("tracklets/item")]
+    except ValueError as error:
+        raise CaptureError(f"{file}: not a readable list of tracklets ({error})") from None
+    return [item for item in items if item is not None]
+
+
+def read_kitti_xml(file: Path) -> ElementTree.Element:
+    """Root of a file; `CaptureError` if it is damaged, or defines entities, which can expand without bound."""
+    text = read_text(file, MAX_TEXT_BYTES)
     if "<!ENTITY" in text:
         raise CaptureError(f"{file}: refused, for it defines entities, which no file of KITTI does")
     try:
-        items = [_tracklet(item) for item in ElementTree.fromstring(text).iterfind("tracklets/item")]
+        return ElementTree.fromstring(text)
     except (ElementTree.ParseError, ValueError, RecursionError) as error:
-        raise CaptureError(f"{file}: not a readable list of tracklets ({error})") from None
-    return [item for item in items if item is not None]
+        raise CaptureError(f"{file}: not readable XML ({error})") from None
 
 
 def _tracklet(item: ElementTree.Element) -> _Tracklet | None:

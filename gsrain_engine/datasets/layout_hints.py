@@ -98,7 +98,8 @@ _OPTIONAL = frozenset({"points3D.bin", "sparse", "database.db", "other transform
 _UNREAD = "it is not read: give a folder of its pictures, or write its poses as those of COLMAP or nerfstudio"
 
 _ADVICE = {
-    **dict.fromkeys(("KITTI-360", "PandaSet", "Zenseact Open Dataset", "EuRoC", "TUM RGB-D"), _UNREAD),
+    **dict.fromkeys(("PandaSet", "Zenseact Open Dataset", "EuRoC", "TUM RGB-D"), _UNREAD),
+    "KITTI-360": "give the folder that has data_2d_raw, calibration and data_poses in it, or THAT_FOLDER/DRIVE",
     "nuScenes": "MMDetection3D's info file (.pkl) in the same folder would do, too",
     "COLMAP": "COLMAP's mapper writes sparse/0 with cameras.bin and images.bin",
     "3D Gaussian Splatting": (

@@ -19,6 +19,7 @@ from .colmap import read_colmap, recognizes_colmap
 from .dgp import read_dgp, recognizes_dgp
 from .io.arrays import WRONG_VALUES, what_is_wrong
 from .kitti import read_kitti_odometry, read_kitti_raw, recognizes_kitti_odometry, recognizes_kitti_raw
+from .kitti360 import read_kitti360, recognizes_kitti360
 from .kitti_objects import read_kitti_objects, recognizes_kitti_objects
 from .layout_hints import foreign_poses, nearest_layout
 from .nerfstudio import read_nerfstudio, recognizes_nerfstudio
@@ -55,6 +56,7 @@ FORMATS: tuple[CaptureFormat, ...] = (
     CaptureFormat("KITTI odometry", recognizes_kitti_odometry, read_kitti_odometry),
     CaptureFormat("KITTI object detection", recognizes_kitti_objects, read_kitti_objects, names_inside=True),
     CaptureFormat("Argoverse 2", recognizes_argoverse2, read_argoverse2),
+    CaptureFormat("KITTI-360", recognizes_kitti360, read_kitti360, names_inside=True),
     CaptureFormat("ROS 2 bag (MCAP, SQLite)", recognizes_bag, read_bag),
     CaptureFormat("nerfstudio", recognizes_nerfstudio, read_nerfstudio),
     CaptureFormat("COLMAP", recognizes_colmap, read_colmap),

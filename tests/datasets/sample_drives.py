@@ -439,6 +439,56 @@ def write_kitti_infos(root: Path) -> Path:
     return file
 
 
+KITTI360_DRIVE = "2013_05_28_drive_0000_sync"
+
+
+def write_kitti360(root: Path, drive: MiniDrive = DRIVE) -> None:
+    """A drive of the second camera, numbered from 1; the inertial unit looks down, and rectification turns."""
+    imu_to_vehicle = np.diag([1.0, -1.0, -1.0, 1.0])
+    baseline, rectify = np.eye(4), np.eye(4)
+    baseline[0, 3] = -BASELINE_M
+    cosine, sine = np.cos(0.01), np.sin(0.01)
+    rectify[1:3, 1:3] = [[cosine, -sine], [sine, cosine]]
+    first_to_imu = imu_to_vehicle @ drive.camera_to_vehicle @ baseline @ rectify
+    first_to_lidar = np.linalg.inv(drive.lidar_to_vehicle) @ imu_to_vehicle @ first_to_imu
+    folder, turns = root / "data_2d_raw" / KITTI360_DRIVE, root / "data_3d_raw" / KITTI360_DRIVE / "velodyne_points"
+    places = root / "data_poses" / KITTI360_DRIVE
+    for each in (root / "calibration", folder / "image_01/data_rect", folder / "image_02", turns / "data", places):
+        each.mkdir(parents=True)
+    (root / "calibration/perspective.txt").write_text(
+        f"calib_time: 30-Jul-2019\nR_rect_00: {text_row(rectify[:3, :3])}\n"
+        f"P_rect_01: {text_row(INTRINSICS @ baseline[:3])}\n"
+    )
+    (root / "calibration/calib_cam_to_pose.txt").write_text(f"image_00: {text_row(first_to_imu[:3])}\n")
+    (root / "calibration/calib_cam_to_velo.txt").write_text(text_row(first_to_lidar[:3]) + "\n")
+    rows = ""
+    for k in range(drive.samples):
+        rows += f"{k + 1} {text_row((drive.vehicle_to_world(k) @ imu_to_vehicle)[:3])}\n"
+        (folder / f"image_01/data_rect/{k + 1:010d}.jpg").write_bytes(drive.jpeg(k))
+        points = drive.lidar_points(k)
+        np.column_stack([points, np.full(len(points), 0.25)]).astype(np.float32).tofile(
+            turns / f"data/{k + 1:010d}.bin"
+        )
+    (places / "poses.txt").write_text(rows)
+    stamps = "".join(f"2013-05-28 08:46:{2 + 0.5 * (k - 1):012.9f}\n" for k in range(drive.samples + 1))
+    for each in (folder / "image_01", turns):
+        (each / "timestamps.txt").write_text(stamps)
+    scaled = drive.box_to_world() @ np.diag([*BOX_LWH, 1.0])
+    corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+    numbers = {"semanticId": 13, "instanceId": 7, "start_frame": 1, "end_frame": drive.samples, "timestamp": -1}
+    words = "".join(f"<{name}>{value}</{name}>" for name, value in numbers.items())
+    matrices = "".join(
+        f'<{name} type_id="opencv-matrix"><rows>{m.shape[0]}</rows><cols>{m.shape[1]}</cols><dt>f</dt>'
+        f"<data>\n{text_row(m)}</data></{name}>"
+        for name, m in (("transform", scaled), ("vertices", corners))
+    )
+    (root / "data_3d_bboxes/train").mkdir(parents=True)
+    (root / f"data_3d_bboxes/train/{KITTI360_DRIVE}.xml").write_text(
+        f'<?xml version="1.0"?>\n<opencv_storage><object1><label>car</label>{words}{matrices}</object1>'
+        f"<object2><label>building</label>{words}{matrices}</object2></opencv_storage>\n"
+    )
+
+
 TO_OPENCV = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
 """Axes x forward, y left, z up to OpenCV's."""
 

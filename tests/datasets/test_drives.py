@@ -29,6 +29,7 @@ from .sample_drives import (
     ARGOVERSE_LOG,
     DRIVE,
     EARTH_M,
+    KITTI360_DRIVE,
     LATITUDE,
     LONGITUDE,
     RAW,
@@ -46,6 +47,7 @@ from .sample_drives import (
     write_frames,
     write_infos,
     write_kitti,
+    write_kitti360,
     write_nuscenes,
     write_segment,
     write_sequence,
@@ -90,6 +92,7 @@ MINIATURES = {
         "REGULAR_VEHICLE",
         drive=drive_above_its_axle(),
     ),
+    "kitti-360": Miniature("KITTI-360", write_kitti360, (".", KITTI360_DRIVE), "image_01", 0.25, "car"),
     **{
         f"infos-{layout}": Miniature(
             _MMDETECTION, partial(write_infos, layout=layout), (".", INFOS), "CAM_FRONT", 3.0, ""
@@ -121,14 +124,15 @@ def test_a_miniature_is_read_exactly(name: str, tmp_path: Path) -> None:
             drive.check(capture, has_boxes=False)
             check_boxes(capture, drive, box_class)
         assert capture.sensors == (sensor,)
-        assert [view.name for view in capture] == [f"{k:04d}_{sensor}" for k in range(3)]
+        first = 1 if kind == "KITTI-360" else 0
+        assert [view.name for view in capture] == [f"{k + first:04d}_{sensor}" for k in range(3)]
         assert [view.time_s for view in capture] == pytest.approx([0.0, 0.5, 1.0])
         assert [int(view.image[0, 0, 0]) for view in capture] == pytest.approx([40, 60, 80], abs=3)
         # OpenCV counts pixels from their centers, we from their edges.
         assert capture[0].lens is None and (capture[0].camera.cx, capture[0].camera.cy) == (WIDTH / 2, HEIGHT / 2)
         for sweep in capture.sweeps:
             assert sweep.intensities is not None and set(sweep.intensities) == {np.float32(intensity)}
-        assert [problem for problem in capture.problems if "scene_09" not in problem] == []
+        assert [problem for problem in capture.problems if "scene_09" not in problem and "fisheye" not in problem] == []
 
 
 def check_boxes(capture: Capture, drive: MiniDrive, box_class: str) -> None:
@@ -468,6 +472,17 @@ WITH_HOLES: list[tuple[Callable[[Path], Path], int, int, tuple[str, ...]]] = [
         f"{RAW}/image_02/data/0000000002.jpg": cut(20),
     }), 1, 1, ("0000000001.txt", "0000000002.bin", "the picture is cut off")),
     (tracklets(b'<!DOCTYPE x [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]><x>&b;</x>'), 3, 3, ("defines entities",)),
+    (damaged(write_kitti360, {
+        f"data_2d_raw/{KITTI360_DRIVE}/image_01/data_rect/0000000003.jpg": cut(20),
+        f"data_3d_raw/{KITTI360_DRIVE}/velodyne_points/data/0000000001.bin": b"12345",
+        f"data_poses/{KITTI360_DRIVE}/poses.txt": lambda text: b"9 1 2 3\n" + text,
+        f"data_3d_bboxes/train/{KITTI360_DRIVE}.xml": lambda text: text.replace(b"<cols>3<", b"<cols>4<"),
+    }), 2, 2, ("poses.txt: line 1: a pose", "image_01/0000000003.jpg left out", "the picture is cut off",
+               "0000000001.bin left out", "box object1 left out", "image_02 left out: fisheye")),
+    (damaged(write_kitti360, {
+        "calibration/calib_cam_to_velo.txt": b"1 2 3",
+        f"data_3d_bboxes/train/{KITTI360_DRIVE}.xml": b"<x",
+    }), 3, 0, ("calib_cam_to_velo.txt: a pose has 12", "boxes left out: ")),
     (tracklets(b"<x><tracklets><item><h>one</h></item></tracklets></x>"), 3, 3, ("boxes left out",)),
     (damaged(write_sequence, {
         "sequences/00/image_3/000001.jpg": b"",
@@ -514,6 +529,11 @@ REFUSED: list[tuple[Callable[[Path], Path], str]] = [
      "its projection matrix"),
     (damaged(write_kitti, {"calib_velo_to_cam.txt": None}, RAW), "calib_velo_to_cam.txt: no such file"),
     (unrectified, "not rectified"),
+    (damaged(write_kitti360, {f"data_poses/{KITTI360_DRIVE}/poses.txt": None}), "no drive with pictures and poses"),
+    (damaged(write_kitti360, {f"data_poses/{KITTI360_DRIVE}/poses.txt": None}, KITTI360_DRIVE), "poses.txt: no such"),
+    (damaged(write_kitti360, {"calibration/calib_cam_to_pose.txt": b"image_00: 1 2"}), "expected 12 finite numbers"),
+    (damaged(write_kitti360, {"calibration/perspective.txt": NO_PROJECTION}), "9 finite numbers at R_rect_00"),
+    (damaged(write_kitti360, {f"data_2d_raw/{KITTI360_DRIVE}/image_01/timestamps.txt": None}), "no picture"),
     (damaged(write_sequence, {"poses/00.txt": None}, "sequences/00"), r"00\.txt: no poses of this sequence.*COLMAP"),
     (log_with({POSES: cut(50)}), rf"{POSES}: not a Feather file"),
     (log_with({POSES: without_column("timestamp_ns")}), f"{POSES}: has no column 'timestamp_ns'"),

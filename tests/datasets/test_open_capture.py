@@ -45,6 +45,11 @@ NO_OXTS, NO_CALIBRATION = {f"{RAW}/oxts": None}, {f"calib_{name}.txt": None for 
 NO_IMAGES = damaged(colmap_model, {"sparse/0/images.bin": None})
 SCENES = files(dict.fromkeys(("cat.splat", "dog.spz", "meta.json", "notes.txt"), b"{}"))
 PHONE = files({"IMG_1.HEIC": b"\0\0\0\x18ftypheic"})
+KITTI360 = {
+    "calibration/perspective.txt": b"",
+    "data_2d_raw/2013_05_28_drive_0000_sync/image_00/data_rect/1.png": b"",
+    "data_poses/2013_05_28_drive_0000_sync/poses.txt": b"",
+}
 NEAREST: list[tuple[Callable[[Path], Path], str]] = [
     (damaged(write_kitti, NO_OXTS, RAW), "KITTI raw without oxts"),
     (damaged(write_kitti, NO_OXTS), "KITTI raw without oxts"),
@@ -64,14 +69,8 @@ NEAREST: list[tuple[Callable[[Path], Path], str]] = [
         "Argoverse 2 without city_SE3_egovehicle.feather",
     ),
     (
-        files(
-            {
-                "calibration/perspective.txt": b"",
-                "data_2d_raw/2013_05_28_drive_0000_sync/image_00/data_rect/1.png": b"",
-                "data_poses/2013_05_28_drive_0000_sync/poses.txt": b"",
-            }
-        ),
-        "KITTI-360 (it",
+        lambda folder: files(KITTI360)(folder) / "data_2d_raw",
+        "KITTI-360 (give the folder that has data_2d_raw, calibration and data_poses in it",
     ),
     (files({"camera/front_camera/poses.json": b"[]", "camera/front_camera/intrinsics.json": b"{}"}), "PandaSet (it"),
     (files({"mav0/cam0/data/1.png": b"", "mav0/cam0/sensor.yaml": b""}), "EuRoC (it"),

@@ -26,6 +26,7 @@ from datasets.sample_drives import (
     write_dgp,
     write_frames,
     write_kitti,
+    write_kitti360,
     write_kitti_objects,
     write_nuscenes,
     write_segment,
@@ -246,6 +247,11 @@ def raw_kitti(folder: Path) -> tuple[Path, Path]:
     return write_kitti(folder), folder
 
 
+def kitti360(folder: Path) -> tuple[Path, Path]:
+    write_kitti360(folder)
+    return folder, folder
+
+
 def odometry(folder: Path) -> tuple[Path, Path]:
     return write_sequence(folder), folder
 
@@ -264,7 +270,7 @@ def kitti_objects(folder: Path) -> tuple[Path, Path]:
     return folder, folder
 
 
-@pytest.mark.parametrize("write", [whole_nuscenes, raw_kitti, odometry, argoverse, dgp, kitti_objects])
+@pytest.mark.parametrize("write", [whole_nuscenes, raw_kitti, kitti360, odometry, argoverse, dgp, kitti_objects])
 def test_folders_have_other_pictures_and_lidar_alone(write, tmp_path):
     source, whole = write(tmp_path / "drive")
     target = tmp_path / "rainy"
