@@ -109,7 +109,7 @@ class _Log:
         for file in files:
             with self.log.omitting(f"lidar/{file.name}"):
                 time_ns, (x, y, z) = _time_of(file), self._mount(_LIDAR)[:3, 3].tolist()
-                vehicle, key = self._vehicle(time_ns), FeatherFile(file, (x, y, z))
+                vehicle, key = self._vehicle(time_ns), FeatherFile(file, origin_m=(x, y, z))
                 turn = key.read()
                 assert turn.intensities is not None
                 light = np.asarray(turn.intensities, np.float32)

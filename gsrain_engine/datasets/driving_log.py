@@ -53,10 +53,11 @@ class LidarScan:
         points_m: Float[np.ndarray, "p 3"],
         intensities: Float32[np.ndarray, " p"] | None,
         key: Hashable | None = None,
+        origin_m: Sequence[float] = (0.0, 0.0, 0.0),
     ) -> "LidarScan":
-        """Scan of points in the lidar's own frame."""
+        """Scan of points in the lidar's own frame, or in another one in which the lidar is at `origin_m`."""
         points = transform_points(lidar_to_vehicle, points_m)
-        origin = lidar_to_vehicle[:3, 3]
+        origin = transform_points(lidar_to_vehicle, np.array([origin_m], np.float64))[0]
         return cls(time_s, vehicle_to_world, points, origin, intensities, key, lidar_to_vehicle)
 
 

@@ -7,7 +7,7 @@ import codecs
 import re
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -263,6 +263,15 @@ _NEXT_DRIVE_S = 5.0
 _CAMERA = re.compile(r"(^|_)CAM_(FRONT|BACK)(_LEFT|_RIGHT)?_")
 _BOX_NUMBERS = 7
 _KITTI_FOLDERS = ("image_2", "velodyne_reduced", "velodyne")
+_WAYMO_FOLDERS = {
+    "CAM_FRONT": "image_0",
+    "CAM_FRONT_LEFT": "image_1",
+    "CAM_FRONT_RIGHT": "image_2",
+    "CAM_SIDE_LEFT": "image_3",
+    "CAM_SIDE_RIGHT": "image_4",
+}
+_WAYMO_LIDAR_M = (1.43, 0.0, 2.18)  # on the roof, by Waymo's calibrations
+_WAYMO_CLASSES = {0: "Car", 1: "Pedestrian", 2: "Cyclist"}
 
 
 def recognizes_nuscenes_infos(path: Path) -> bool:
@@ -327,6 +336,8 @@ class _Info:
     class_names: tuple[str, ...]
     boxes: Float64[np.ndarray, "b 7"]
     """Center x y z, three sides, rotation about z, as in the file."""
+    lidar_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Position of the lidar in the frame of its points."""
     road_m: float = 0.0
     """Height of the road in the vehicle's frame according to the data set."""
     has_old_boxes: bool = False
@@ -360,9 +371,11 @@ def _scans(folder: Path, infos: list[_Info], log: DrivingLog) -> Iterator[LidarS
         if info.lidar_file:
             with log.omitting(info.lidar_file):
                 file = _find(folder, info.lidar_file, "LIDAR_TOP")
-                pose, key = info.vehicle_to_world, RowFile(file, info.lidar_columns)
-                turn = key.read()
-                yield LidarScan.placed(info.time_s, pose, info.lidar_to_vehicle, turn.points_m, turn.intensities, key)
+                pose, key = info.vehicle_to_world, RowFile(file, info.lidar_columns, origin_m=info.lidar_m)
+                to_vehicle, turn = info.lidar_to_vehicle, key.read()
+                yield LidarScan.placed(
+                    info.time_s, pose, to_vehicle, turn.points_m, turn.intensities, key, info.lidar_m
+                )
 
 
 def _find(folder: Path, named: str, sensor: str) -> Path:
@@ -377,7 +390,8 @@ def _found(folder: Path, named: str, sensor: str) -> Path | None:
     parts = [part for part in Path(named).parts if part not in ("..", ".", "/")]
     places = [folder.joinpath(*parts[start:]) for start in range(len(parts))]
     places += [folder / below / sensor / parts[-1] for below in ("samples", "sweeps") if parts]
-    places += [folder / "training" / below / parts[-1] for below in _KITTI_FOLDERS if parts]
+    folders = (_WAYMO_FOLDERS[sensor],) if sensor in _WAYMO_FOLDERS else _KITTI_FOLDERS
+    places += [folder / "training" / below / parts[-1] for below in folders if parts]
     return next((place for place in places if place.is_file()), None)
 
 
@@ -386,7 +400,8 @@ def _infos_of(values: Any, file: Path) -> tuple[list[_Info], list[str]]:
     if isinstance(values, Mapping) and isinstance(values.get("data_list"), Sequence):
         classes = values.get("metainfo", {}).get("categories", {})
         names = {int(number): str(name) for name, number in dict(classes).items()}
-        return _read_rows(values["data_list"], lambda row: _info_of_1_x(row, names), file)
+        read = _info_of_waymo if values.get("metainfo", {}).get("dataset") == "waymo" else _info_of_1_x
+        return _read_rows(values["data_list"], partial(read, names=names), file)
     rows = values.get("infos") if isinstance(values, Mapping) else values
     if isinstance(rows, Sequence) and rows and isinstance(rows[0], Mapping) and "cams" in rows[0]:
         return _read_rows(rows, _info_before_1_0, file)
@@ -409,14 +424,23 @@ def _read_rows(rows: Any, read: Callable[[Any], _Info], file: Path) -> tuple[lis
 def _info_of_1_x(row: Any, names: Mapping[int, str]) -> _Info:
     if "ego2global" not in row and "lidar2ego" not in row["lidar_points"]:
         return _info_of_kitti(row, names)
-    to_world = rigid_from_numbers(row["ego2global"])
-    lidar = row["lidar_points"]
-    to_vehicle = rigid_from_numbers(lidar["lidar2ego"])
+    return _placed_info(row, names, rigid_from_numbers(row["lidar_points"]["lidar2ego"]), 1.0)
+
+
+def _info_of_waymo(row: Any, names: Mapping[int, str]) -> _Info:
+    """A sample of Waymo: points and boxes, by their bottom centers, in the vehicle's frame; times in microseconds."""
+    info = _placed_info(row, names or _WAYMO_CLASSES, np.eye(4), _US)
+    info.boxes[:, 2] += info.boxes[:, 5] / 2
+    return replace(info, lidar_m=_WAYMO_LIDAR_M)
+
+
+def _placed_info(row: Any, names: Mapping[int, str], to_vehicle: Pose, unit_s: float) -> _Info:
+    to_world, lidar = rigid_from_numbers(row["ego2global"]), row["lidar_points"]
     cameras = tuple(
         _InfoCamera(
             str(channel),
             str(each["img_path"]),
-            float(each.get("timestamp", row["timestamp"])),
+            float(each.get("timestamp", row["timestamp"])) * unit_s,
             np.asarray(each["cam2img"], np.float64),
             # At the lidar's time: lidar2cam includes the vehicle's motion between the two times, cam2ego doesn't.
             to_world @ to_vehicle @ invert_pose(rigid_from_numbers(each["lidar2cam"])),
@@ -426,7 +450,8 @@ def _info_of_1_x(row: Any, names: Mapping[int, str]) -> _Info:
     )
     boxes, classes = _instances(row, names)
     file, columns = str(lidar.get("lidar_path") or ""), int(lidar.get("num_pts_feats", 5))
-    return _Info(float(row["timestamp"]), to_world, to_vehicle, file, columns, cameras, classes, boxes)
+    time_s = float(row["timestamp"]) * unit_s
+    return _Info(time_s, to_world, to_vehicle, file, columns, cameras, classes, boxes)
 
 
 def _instances(row: Any, names: Mapping[int, str]) -> tuple[Float64[np.ndarray, "b 7"], tuple[str, ...]]:

@@ -177,7 +177,12 @@ def _placed(pose: np.ndarray) -> dict[str, Any]:
 
 
 def write_infos(folder: Path, drive: MiniDrive = DRIVE, layout: str = "1.x", times: list[float] | None = None) -> Path:
-    """An info file of version 1.x, or of one before with boxes as of then ("0.x") or of its last candidates ("rc")."""
+    """An info file of version 1.x, or of one before with boxes as of then ("0.x") or of its last candidates ("rc").
+
+    "waymo" is one of version 1.x of Waymo's drives, in the folders of KITTI.
+    """
+    if layout == "waymo":
+        return _write_waymo_infos(folder, drive)
     matrix = INTRINSICS.tolist()
     rows: list[dict[str, Any]] = []
     for k in range(drive.samples):
@@ -222,6 +227,35 @@ def write_infos(folder: Path, drive: MiniDrive = DRIVE, layout: str = "1.x", tim
     values = {"metainfo": metainfo, "data_list": rows} if layout == "1.x" else {"infos": rows, "metadata": {}}
     file = folder / "nuscenes_infos_train.pkl"
     file.write_bytes(pickle.dumps(values))
+    return file
+
+
+def _write_waymo_infos(folder: Path, drive: MiniDrive) -> Path:
+    rows: list[dict[str, Any]] = []
+    for name in ("image_0", "image_1", "velodyne"):
+        (folder / "training" / name).mkdir(parents=True)
+    for k in range(drive.samples):
+        (folder / f"training/image_0/{k:07d}.jpg").write_bytes(drive.jpeg(k))
+        (folder / f"training/image_1/{k:07d}.jpg").write_bytes(b"of another camera")
+        points = drive.lidar_points(k) @ drive.lidar_to_vehicle[:3, :3].T + drive.lidar_to_vehicle[:3, 3]
+        columns = np.column_stack([points, np.full((len(points), 3), 3.0)]).astype(np.float32)
+        columns.tofile(folder / f"training/velodyne/{k:07d}.bin")
+        box, (length, width, height) = drive.box_to_vehicle(k), BOX_LWH
+        bottom = [*box[:2, 3], box[2, 3] - height / 2]
+        yaw = float(np.arctan2(box[1, 0], box[0, 0]))
+        to_camera = np.linalg.inv(drive.camera_to_vehicle)
+        camera = {"img_path": f"{k:07d}.jpg", "cam2img": np.column_stack([INTRINSICS, np.zeros(3)])}
+        rows.append(
+            {
+                "timestamp": round(drive.time(k) * 1e6),
+                "ego2global": drive.vehicle_to_world(k),
+                "images": {"CAM_FRONT": {**camera, "lidar2cam": to_camera}},
+                "lidar_points": {"lidar_path": f"{k:07d}.bin", "num_pts_feats": 6},
+                "instances": [{"bbox_3d": [*bottom, length, width, height, yaw], "bbox_label_3d": 0}],
+            }
+        )
+    file = folder / "waymo_infos_train.pkl"
+    file.write_bytes(pickle.dumps({"metainfo": {"dataset": "waymo"}, "data_list": rows}))
     return file
 
 

@@ -5,6 +5,7 @@ import pickle
 import sys
 import zlib
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -133,6 +134,16 @@ def test_a_miniature_is_read_exactly(name: str, tmp_path: Path) -> None:
         for sweep in capture.sweeps:
             assert sweep.intensities is not None and set(sweep.intensities) == {np.float32(intensity)}
         assert [problem for problem in capture.problems if "scene_09" not in problem and "fisheye" not in problem] == []
+
+
+def test_info_files_of_waymo_are_read_exactly(tmp_path: Path) -> None:
+    capture = open_capture(write_infos(tmp_path, layout="waymo"))
+    higher = np.array([0.0, 0.0, 2.18 - 1.8])  # of Waymo's lidar
+    sweeps = tuple(replace(sweep, origin_m=sweep.origin_m - higher) for sweep in capture.sweeps)
+    DRIVE.check(replace(capture, sweeps=sweeps), has_boxes=False)
+    check_boxes(capture, DRIVE, "")
+    assert [view.time_s for view in capture] == pytest.approx([0.0, 0.5, 1.0])
+    assert {box.class_name for box in capture.boxes} == {"Car"} and not capture.problems
 
 
 def check_boxes(capture: Capture, drive: MiniDrive, box_class: str) -> None:

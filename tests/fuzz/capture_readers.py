@@ -26,11 +26,8 @@ from tests.datasets.sample_drives import (
     write_frames,
     write_infos,
     write_kitti,
-<<<<<<< HEAD
-    write_kitti_infos,
-=======
     write_kitti360,
->>>>>>> 73afaf1a (Read drives of KITTI-360, and write their rainy copies)
+    write_kitti_infos,
     write_kitti_objects,
     write_nuscenes,
     write_segment,
@@ -177,11 +174,9 @@ CAPTURE_READERS = (
     _row("nuscenes-infos-old", _INFOS, lambda folder: write_infos(folder, _SMALL, "0.x"), _PKL, _BYTES),
     _row("kitti-raw", "KITTI raw", lambda folder: write_kitti(folder, drive_on_the_road()), _TEXT, _BYTES, _XML),
     _row("kitti-objects", "KITTI object detection", write_kitti_objects, _TEXT, _BYTES),
-<<<<<<< HEAD
+    _row("waymo-infos", _INFOS, lambda folder: write_infos(folder, _SMALL, "waymo"), _PKL, _BYTES),
     Reader("kitti-infos", write_kitti_infos, _read, CaptureError, (_PKL, _BYTES, *_PICTURES)),
-=======
     _row("kitti-360", "KITTI-360", lambda folder: write_kitti360(folder, _SMALL), _TEXT, _BYTES, _XML),
->>>>>>> 73afaf1a (Read drives of KITTI-360, and write their rainy copies)
     _row("kitti-odometry", "KITTI odometry", write_sequence, _TEXT, _BYTES),
     Reader("argoverse2", _argoverse2, _read, CaptureError, (("*.feather", damaged_bytes), *_PICTURES)),
     _row("waymo-records", "Waymo Perception v1", lambda folder: write_frames(folder / "a.tfrecord", _SMALL), _RECORD),

@@ -4,7 +4,7 @@ import io
 import zipfile
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -35,11 +35,8 @@ class SweepFile(ABC):
     """One lidar turn on disk."""
 
     file: Path
-
-    @property
-    def origin_m(self) -> tuple[float, float, float]:
-        """Position of the sensor in the frame of the points."""
-        return (0.0, 0.0, 0.0)
+    origin_m: tuple[float, float, float] = field(default=(0.0, 0.0, 0.0), kw_only=True)
+    """Position of the sensor in the frame of the points."""
 
     @abstractmethod
     def read(self) -> StoredTurn:
@@ -103,12 +100,6 @@ class ArchiveFile(SweepFile):
 @dataclass(frozen=True, slots=True)
 class FeatherFile(SweepFile):
     """Columns x, y, z, intensity and others of an Arrow file."""
-
-    position_m: tuple[float, float, float]
-
-    @property
-    def origin_m(self) -> tuple[float, float, float]:
-        return self.position_m
 
     def read(self) -> StoredTurn:
         table = read_feather(self.file, "a lidar turn of Argoverse 2")
