@@ -1,7 +1,7 @@
 """Opening of captures of any dataset by the first format that recognizes the path."""
 
 import difflib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -9,6 +9,7 @@ from ..plugins import CAPTURE_FORMATS, Extension, load_extensions, warn_once
 from ..safe_io.file_kinds import find_file_kind, kind_of_file
 from ..safe_io.file_names import visible_siblings
 from ..scene.formats.registry import format_of
+from ..scene.progress import Progress
 from .argoverse2 import read_argoverse2, recognizes_argoverse2
 from .bags.containers import recognizes_bag
 from .bags.reader import read_bag
@@ -42,6 +43,8 @@ class CaptureFormat:
     """Reader; raises `CaptureError`. Images are read later, one by one."""
     names_inside: bool = False
     """True if one of several drives in tables is given like a file inside: NUSCENES/scene-0061."""
+    write: Callable[..., Iterator[Progress]] | None = None
+    """Writer of rainy copies, a `WriteRecording`; None copies the folder file by file, with other image files."""
 
 
 FORMATS: tuple[CaptureFormat, ...] = (

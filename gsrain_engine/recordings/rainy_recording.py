@@ -28,6 +28,9 @@ from .waymo import write_rainy_records, write_rainy_tables
 WriteCopy = Callable[[Path, RainyPictures, LidarRain | None, FileCopies], Iterator[Progress]]
 """Writes a rainy copy to a path, which is a file where the recording is one; counts files in the `FileCopies`."""
 
+WriteRecording = Callable[[Capture, Path, Path, RainyPictures, LidarRain | None, FileCopies], Iterator[Progress]]
+"""The same of a capture and the path that it was read from, as a `CaptureFormat` has it."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
@@ -64,7 +67,8 @@ def open_recording(source: Path, *, key_frames_only: bool = False) -> Recording:
             capture = read_nuscenes(source, key_frames_only=key_frames_only)
         else:
             capture = open_capture(source)
-        recording = _folder(source, capture)
+        write = None if kind is None else kind.write
+        recording = _folder(source, capture) if write is None else _foreign(source, capture, write)
     capture = recording.capture
     if capture.has_poses and not capture.is_metric:
         raise ValueError(f"{capture.name}: its unit of length is unknown, and rain falls in meters")
@@ -90,6 +94,11 @@ def _waymo_tables(source: Path) -> Recording:
     tables = open_waymo_tables(source)
     capture = tables.capture()
     return Recording(capture, tables.root, partial(write_rainy_tables, tables, capture), False, bool(capture.sweeps))
+
+
+def _foreign(source: Path, capture: Capture, write: WriteRecording) -> Recording:
+    folder = source if source.is_dir() else source.parent
+    return Recording(capture, folder, partial(write, capture, source), source.is_file(), bool(capture.sweeps))
 
 
 def _folder(source: Path, capture: Capture) -> Recording:

@@ -32,14 +32,19 @@ from datasets.sample_drives import (
     write_segment,
     write_sequence,
 )
+from gsrain_engine.datasets import open_capture as captures
+from gsrain_engine.datasets.capture import Capture, CaptureFrame
 from gsrain_engine.datasets.io.records import records_in
-from gsrain_engine.datasets.open_capture import open_capture
+from gsrain_engine.datasets.open_capture import CaptureFormat, open_capture
 from gsrain_engine.datasets.waymo import parsed, unpacked_ranges
 from gsrain_engine.evaluation.lidar.sensor import SENSORS
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.recordings.folders import FileCopies
 from gsrain_engine.recordings.lidar import LidarRain
 from gsrain_engine.recordings.rainy_recording import open_recording
+from gsrain_engine.safe_io.files import whole_file
+from gsrain_engine.scene.camera import Camera, look_at
+from gsrain_engine.scene.progress import Progress
 from mini_drive import MiniDrive
 
 DRIVE = MiniDrive()
@@ -309,6 +314,28 @@ def test_turns_of_argoverse_and_dgp_keep_their_columns_types_and_compression(tmp
     with np.load(lidar / "0.npz") as clear, np.load(tmp_path / "rainy_dgp/scene_07/point_cloud/LIDAR/0.npz") as rainy:
         assert rainy.files == clear.files and (rainy["other"] == clear["other"]).all()
         assert rainy["data"].dtype == clear["data"].dtype and 0 < len(rainy["data"]) < len(clear["data"])
+
+
+def test_a_format_of_a_package_writes_its_copies_itself(tmp_path, monkeypatch):
+    """Here a recording is one array of images."""
+    photos = np.arange(2 * 24 * 32 * 3, dtype=np.uint8).reshape(2, 24, 32, 3)
+    np.save(tmp_path / "drive.npy", photos)
+
+    def read(path):
+        stored = np.load(path)
+        camera = Camera.from_fov(32, 24, 60.0, look_at(*np.array([[0.0, 0, 1.5], [1, 0, 1.5], [0, 0, 1]])))
+        return Capture("drive", tuple(CaptureFrame(str(k), camera, lambda k=k: stored[k], k) for k in range(2)))
+
+    def write(capture, source, target, pictures, lidar, files):
+        with whole_file(target) as copy, copy.open("wb") as stream:
+            np.save(stream, np.stack([pictures.begin(view)(view.image) for view in capture]))
+        files.changed.append(target.name)
+        yield Progress(1.0, source.name)
+
+    row = CaptureFormat("array", lambda path: path.suffix == ".npy", read, write=write)
+    monkeypatch.setattr(captures, "FORMATS", (row, *captures.FORMATS))
+    rainy_copy(tmp_path / "drive.npy", tmp_path / "rainy.npy")
+    np.testing.assert_array_equal(np.load(tmp_path / "rainy.npy"), 255 - photos)
 
 
 def test_a_bag_s_progress_is_by_finished_images_and_clouds(tmp_path):
