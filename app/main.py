@@ -46,7 +46,7 @@ _HARMLESS = frozenset({"--help", "-h", _HELP_ALL, "--version"})  # options that 
 
 COMMAND_TOPICS: Mapping[str, Sequence[str]] = {
     "Scenes and pictures": ("render", "info", "convert", "edit", "publish"),
-    "Rain": ("export-rain", "calibrate", "disdrometer"),
+    "Rain": ("export-rain", "dataset", "calibrate", "disdrometer"),
     "Captures and looks": ("reconstruct", "transfer", "train-transfer", "recolor"),
     "Tests in the rain": ("evaluate", "drive", "sweep", "serve"),
     "This program": ("doctor", "bench", "schema"),

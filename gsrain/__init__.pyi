@@ -16,6 +16,7 @@ from .jobs import RunResult as RunResult
 from .jobs import SweepReport as SweepReport
 from .jobs import Table as Table
 from .jobs import attribute as attribute
+from .jobs import dataset as dataset
 from .jobs import evaluate_detection as evaluate_detection
 from .jobs import evaluate_lidar as evaluate_lidar
 from .jobs import export_rain as export_rain

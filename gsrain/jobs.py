@@ -13,6 +13,9 @@ from gsrain_engine.appearance.base import TransferSettings
 from gsrain_engine.appearance.view_choice import ViewChoice
 from gsrain_engine.backends import open_renderer
 from gsrain_engine.choices import Backend
+from gsrain_engine.dataset_export.open import DatasetChoice, dataset_source, input_hashes, open_dataset_input
+from gsrain_engine.dataset_export.registry import LAYOUTS
+from gsrain_engine.dataset_export.session import export_dataset
 from gsrain_engine.datasets.capture import Capture
 from gsrain_engine.datasets.image_override import with_images
 from gsrain_engine.datasets.open_capture import open_capture
@@ -46,8 +49,10 @@ from gsrain_engine.report.result import RunResult as RunResult
 from gsrain_engine.report.table import Table as Table
 from gsrain_engine.scene.camera import Camera
 from gsrain_engine.scene.camera_path import CameraPath
+from gsrain_engine.scene.open import load_sorted_scene
 from gsrain_engine.scene.progress import Progress, run_to_end
 from gsrain_engine.scene.scene import Scene
+from gsrain_engine.simulation.scenario import Scenario
 from gsrain_engine.sweep.executors import LocalPool, SerialExecutor
 from gsrain_engine.sweep.report import SweepReport as SweepReport
 from gsrain_engine.sweep.run import run_sweep_and_report
@@ -132,6 +137,61 @@ def export_rain(
             files=FileCopies(hard_links),
         )  # fmt: skip
         return run_to_end(work, progress)
+
+
+@checked
+def dataset(
+    source: SourceName | Scenario,
+    output: Path | str,
+    *,
+    layout: str = "nuscenes",
+    intensities: tuple[float, ...] = (0.0, 2.5, 8.5, 25.0),
+    rain: RainSettings | None = None,
+    cameras: tuple[str, ...] = (),
+    rate: float | None = None,
+    moments: int | None = None,
+    width: int | None = None,
+    sensor: str | None = "64",
+    backend: Backend = "auto",
+    progress: Report | None = None,
+) -> RunResult[Path]:
+    """Write a labeled data set in several rains, in a folder; the same call resumes. `made` is its path.
+
+    Args:
+        source: A scene, a recording or a scenario, by value or by name.
+        output: Folder to write, or to go on with.
+        layout: "nuscenes", "kitti" or "coco".
+        intensities: Rainfall intensities in mm/h, each in a folder of its own; more may be added later.
+        rain: All of the rain but for its intensity; None is the default, of a scenario its own.
+        cameras: Names of cameras, of a scene also of rigs; none are those of the first rig, of a recording all.
+        rate: Moments per second; None is 2, of a recording all.
+        moments: Maximum number of moments, from the first.
+        width: Width of the pictures in pixels; None is the cameras' own.
+        sensor: Lidar on the roof, or of the recording: a name that `gsrain dataset --help` lists or a YAML file; None
+            leaves it out.
+        backend: As in `render`; photographs are drawn by the processor.
+        progress: As in `export_rain`.
+
+    Raises:
+        ValueError: For an unknown layout, camera or sensor, a folder with anything else, and what a layout can't hold.
+        CaptureError: For an image that can't be read.
+        OSError: When a file can't be written.
+    """
+    if layout not in LAYOUTS:
+        raise ValueError(f"layout {layout!r}: expected {', '.join(LAYOUTS)}")
+    opened = open_dataset_input(str(source)) if isinstance(source, Path | str) else source
+    scene = load_sorted_scene(opened.scene) if isinstance(opened, Scenario) else opened
+    own = rain or (opened.rain if isinstance(opened, Scenario) else RainSettings())
+    kind: Source = "photographs" if isinstance(scene, Capture) else "scene"
+    base = _checked_rain(own, kind)
+    plain, names = msgspec.to_builtins(base), {"intensities": "intensity_mm_h"}
+    rains = [checked_settings({**plain, "intensity_mm_h": x}, RainSettings, names) for x in sorted({*intensities})]
+    lidar = None if sensor is None else open_sensor(sensor)
+    choice = DatasetChoice(cameras=cameras, rate_hz=rate, moments=moments, width_px=width, sensor=lidar)
+    facts = {"inputs": input_hashes(str(source), opened) if isinstance(source, Path | str) else {}, "wet": None}
+    with open_renderer("cpu" if isinstance(scene, Capture) else backend) as renderer:
+        made_of = dataset_source(opened, choice, scene if isinstance(scene, Scene) else None, facts)
+        return run_to_end(export_dataset(renderer, made_of, Path(output), rains, LAYOUTS[layout]), progress)
 
 
 @checked

@@ -88,7 +88,9 @@ def test_a_new_setting_is_one_line(tmp_path):
 
 OF_ANOTHER_KIND = {
     ("evaluate lidar", "--sensor"),  # a lidar, not a camera's sensor
-    *((command, option) for command in ("publish", "export-rain") for option in ("--output", "-o")),  # no picture
+    *(
+        (command, option) for command in ("publish", "export-rain", "dataset") for option in ("--output", "-o")
+    ),  # no picture
 }
 """Options of commands that are named like a field."""
 

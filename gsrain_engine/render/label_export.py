@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, UInt16
+from jaxtyping import Bool, Float64, UInt16
 
 from ..choices import LabelFormat
 from ..safe_io.files import whole_file
@@ -33,11 +33,19 @@ class CocoLabels:
 
     def add(self, number: int, time_s: float, camera: Camera, objects: Sequence[VisibleObject], **files: str) -> None:
         """Add a frame; `files` are its files by kind, of which `file_name` is part of COCO."""
+        self.add_annotations(number, time_s, camera, [object_annotation(each) for each in objects], **files)
+
+    def add_annotations(
+        self, number: int, time_s: float, camera: Camera, objects: Sequence[Mapping[str, Any]], **files: str
+    ) -> None:
+        """Add a frame with objects as `object_annotation` describes them."""
         image_id, size = len(self._images) + 1, {"width": camera.width, "height": camera.height}
         times = {"frame": number, "time_s": time_s, "camera": camera.to_json()}
         self._images.append({"id": image_id, **size, **files, **times})
         for each in objects:
-            self._annotations.append(self._annotation(len(self._annotations) + 1, image_id, each))
+            rest = {name: value for name, value in each.items() if name != "class_name"}
+            category = {"category_id": self._category(str(each["class_name"]))}
+            self._annotations.append({"id": len(self._annotations) + 1, "image_id": image_id, **category, **rest})
 
     @property
     def document(self) -> dict[str, Any]:
@@ -54,29 +62,36 @@ class CocoLabels:
             "categories": [{"id": number, "name": name} for name, number in categories.items()],
         }
 
-    def _annotation(self, number: int, image_id: int, item: VisibleObject) -> dict[str, Any]:
-        left, top, right, bottom = item.box_xyxy
-        name = coco_class(item.object.class_name)
-        own = self._own_classes
+    def _category(self, class_name: str) -> int:
+        name, own = coco_class(class_name), self._own_classes
         if name not in COCO_CATEGORIES:
             own.setdefault(name, _FIRST_OWN + len(own))
-        return {
-            "id": number,
-            "image_id": image_id,
-            "category_id": (COCO_CATEGORIES | own)[name],
-            "bbox": [left, top, right - left, bottom - top],
-            "area": int(item.mask.sum()),
-            "segmentation": encode_rle(item.mask),
-            "iscrowd": 0,
-            "object": item.object.id,
-            "visibility": round(item.visibility, 4),
-            "truncation": round(item.truncation, 4),
-            "distance_m": round(item.distance_m, 3),
-            "box_3d": {
-                "size_lwh_m": [round(side, 4) for side in item.size_lwh_m],
-                "object_to_camera": item.to_camera.round(6).tolist(),
-            },
-        }
+        return (COCO_CATEGORIES | own)[name]
+
+
+def object_annotation(item: VisibleObject) -> dict[str, Any]:
+    """Return the annotation of a visible object without its ids; `class_name` takes the place of the category's."""
+    left, top, right, bottom = item.box_xyxy
+    return {
+        "class_name": item.object.class_name,
+        "bbox": [left, top, right - left, bottom - top],
+        "area": int(item.mask.sum()),
+        "segmentation": encode_rle(item.mask),
+        "iscrowd": 0,
+        "object": item.object.id,
+        "visibility": round(item.visibility, 4),
+        "truncation": round(item.truncation, 4),
+        "distance_m": round(item.distance_m, 3),
+        "box_3d": box_annotation(item.size_lwh_m, item.to_camera),
+    }
+
+
+def box_annotation(size_lwh_m: Sequence[float], to_camera: Float64[np.ndarray, "4 4"]) -> dict[str, Any]:
+    """Return a 3D box as plain values: its sides, and its pose in the camera's frame, meters."""
+    return {
+        "size_lwh_m": [round(side, 4) for side in size_lwh_m],
+        "object_to_camera": to_camera.round(6).tolist(),
+    }
 
 
 # KITTI
@@ -91,27 +106,40 @@ _EGO_TO_CAMERA = "0 -1 0 0 0 0 -1 0 1 0 0 0"
 
 def label_line(item: VisibleObject) -> str:
     """Type, truncation, occlusion, alpha, 2D box, height, width, length, bottom center, rotation about y."""
-    x, y, z = item.to_camera[:3, 3]
-    ahead = item.to_camera[:3, 0]
+    return label_of_box(
+        item.object.class_name, item.box_xyxy, item.size_lwh_m, item.to_camera, item.visibility, item.truncation
+    )
+
+
+def label_of_box(
+    name: str,
+    box_xyxy: Sequence[float],
+    size_lwh_m: Sequence[float],
+    to_camera: Float64[np.ndarray, "4 4"],
+    visibility: float,
+    truncation: float,
+) -> str:
+    """Return the line of `label_line` for an object with this class, 2D box (pixels, outer edges) and 3D box."""
+    x, y, z = to_camera[:3, 3]
+    ahead = to_camera[:3, 0]
     turn = float(np.arctan2(-ahead[2], ahead[0]))
     alpha = float((turn - float(np.arctan2(x, z)) + np.pi) % (2 * np.pi) - np.pi)
-    occlusion = 0 if item.visibility >= _FREE else 1 if item.visibility >= _PARTLY else 2
-    length, width, height = item.size_lwh_m
-    box = [edge - 0.5 for edge in item.box_xyxy]
+    occlusion = 0 if visibility >= _FREE else 1 if visibility >= _PARTLY else 2
+    length, width, height = size_lwh_m
+    box = [edge - 0.5 for edge in box_xyxy]
     numbers = [alpha, *box, height, width, length, x, y, z, turn]
-    name = item.object.class_name
     kind = "Van" if name.lower() == "van" else _CLASSES.get(coco_class(name), "Misc")
-    return f"{kind} {item.truncation:.2f} {occlusion} " + " ".join(f"{each:.2f}" for each in numbers)
+    return f"{kind} {truncation:.2f} {occlusion} " + " ".join(f"{each:.2f}" for each in numbers)
 
 
-def calibration_file(camera: Camera) -> str:
-    """Calibration of a frame: four identical cameras without a baseline, and a lidar at the camera's position."""
+def calibration_file(camera: Camera, lidar_to_camera: Float64[np.ndarray, "4 4"] | None = None) -> str:
+    """Calibration of a frame: four identical cameras without a baseline, and a lidar, by default at their position."""
     matrix = f"{camera.fx:.12e} 0 {camera.cx - 0.5:.12e} 0 0 {camera.fy:.12e} {camera.cy - 0.5:.12e} 0 0 0 1 0"
     cameras = "".join(f"P{number}: {matrix}\n" for number in range(4))
-    return (
-        f"{cameras}R0_rect: 1 0 0 0 1 0 0 0 1\nTr_velo_to_cam: {_EGO_TO_CAMERA}\n"
-        "Tr_imu_to_velo: 1 0 0 0 0 1 0 0 0 0 1 0\n"
-    )
+    lidar = _EGO_TO_CAMERA
+    if lidar_to_camera is not None:
+        lidar = " ".join(f"{each:.12e}" for each in lidar_to_camera[:3].ravel())
+    return f"{cameras}R0_rect: 1 0 0 0 1 0 0 0 1\nTr_velo_to_cam: {lidar}\nTr_imu_to_velo: 1 0 0 0 0 1 0 0 0 0 1 0\n"
 
 
 def instances(objects: Sequence[VisibleObject], camera: Camera) -> UInt16[np.ndarray, "h w"]:

@@ -17,10 +17,10 @@ from ..rain.simulation import RainSimulation
 from ..render.draw import draw, meter
 from ..render.export_settings import Lod
 from ..render.frame_input import CameraMemory, FrameInput, Mount, Quality
-from ..render.level_of_detail import lod_cut
+from ..render.level_of_detail import LodCut, lod_cut
 from ..render.provenance import provenance_of
 from ..render.renderer import PendingImage, Renderer
-from ..render.sky_color import sky_color
+from ..render.sky_color import SkyColor, sky_color
 from ..render.video import VideoWriter
 from ..render.view import RenderView
 from ..scene.camera import Camera
@@ -58,6 +58,54 @@ _DOT_M = 0.14
 _SURE = 0.3  # minimum confidence of detections that are drawn
 
 
+class RolloutCamera:
+    """A camera of the ego vehicle in a played roll-out, in the scenario's rain. A picture is a function of its time."""
+
+    def __init__(
+        self, played: RolloutPlayback, renderer: Renderer, mounted: RigCamera, cut: LodCut | None = None,
+        sky: SkyColor | None = None,
+    ) -> None:  # fmt: skip
+        """Use a camera of the rig, without its lens; `sky` is that of the other cameras of the rig, if it is known."""
+        self._played, self._renderer, self._mounted, self._cut = played, renderer, mounted, cut
+        self._rainfall = RainSimulation.start(played.scenario.rain)
+        self._memory = CameraMemory()
+        start = played.scene(0.0)
+        self.sky = sky or sky_color(renderer, start, self.camera(0.0), thinning=cut)
+        """Sky at the start."""
+        first = self._frame(start, RenderView(self.camera(0.0), played.scene_time_s(0.0)))
+        self.provenance = provenance_of(first)
+        """Of the first picture."""
+        meter(renderer, first)
+
+    def camera(self, time_s: float) -> Camera:
+        """Camera in the world at a time of the roll-out."""
+        return self._mounted.camera(self._played.rig_to_world(time_s)).pinhole
+
+    def frame(self, time_s: float) -> FrameInput:
+        """Everything that the picture at a time holds."""
+        played, state = self._played, self._played.state(time_s)
+        velocity = state.speed_m_s * played.rig_to_world(time_s)[:3, 0]
+        view = RenderView(self.camera(time_s), played.scene_time_s(time_s), velocity)
+        return self._frame(played.scene(time_s), view)
+
+    def request(self, time_s: float) -> PendingImage:
+        """Draw the picture at a time, and start to read it back."""
+        return draw(self._renderer, self.frame(time_s)).request_uint8()
+
+    def _frame(self, scene: Scene, view: RenderView) -> FrameInput:
+        mount = Mount(self._memory, past=self._motion, camera_to_vehicle=self._mounted.camera_to_ego[:3, :3])
+        return FrameInput.of(scene, self._rainfall, self.sky, view, Quality(thinning=self._cut), mount=mount)
+
+    def _motion(self, scene_time_s: float) -> CameraMotion:
+        """Motion of the camera at a time of the scene; before the drive that of its start."""
+        since_s = scene_time_s - self._played.scene_time_s(0.0)
+        time_s = max(since_s, 0.0)
+        rig = self._played.rig_to_world(time_s)
+        camera, velocity_m_s = self.camera(time_s), self._played.state(time_s).speed_m_s * rig[:3, 0]
+        place_m = camera.position + min(since_s, 0.0) * velocity_m_s
+        return CameraMotion(camera.camera_to_world[:3, :3], velocity_m_s, place_m)
+
+
 class RolloutVideo:
     """Video frames of a roll-out, all of one size. The same roll-out gives the same bytes."""
 
@@ -72,18 +120,13 @@ class RolloutVideo:
             raise ValueError(f"scene {played.rollout.scene!r} has no rig whose front camera could film the drive")
         (front,) = needed_cameras(played.rig.cameras, SensorRequirements(cameras=("front",)))
         self._mounted = mounted or front
-        self._played, self._renderer, self._cut = played, renderer, lod_cut(played.base, lod)
+        self._played = played
         self._gaps_m, self._times_s = gaps_m(played.rollout), times_to_collision_s(played.rollout)
         self._path = np.array([(each.ego.x_m, each.ego.y_m) for each in played.rollout.steps])
         self._solid = occupied_space_of(played.base, road_surface_of(played.base)).places
-        self._rainfall = RainSimulation.start(played.scenario.rain)
-        self._memory = CameraMemory()
-        start, camera = played.scene(0.0), self._mounted.camera(played.rig_to_world(0.0)).pinhole
-        self._sky = sky_color(renderer, start, camera, thinning=self._cut)
-        first = self._frame(start, RenderView(camera, played.scene_time_s(0.0)))
-        self.provenance = provenance_of(first)
+        self._camera = RolloutCamera(played, renderer, self._mounted, lod_cut(played.base, lod))
+        self.provenance = self._camera.provenance
         """Of the first camera image."""
-        meter(renderer, first)
 
     def times(self, fps: float) -> list[float]:
         """Return the times of the frames; the last one is held for a second."""
@@ -94,7 +137,7 @@ class RolloutVideo:
         """Images of the camera at each step, without plan and readouts; drawn while the one before is used."""
         waiting: tuple[RolloutStep, PendingImage] | None = None
         for step in self._played.rollout.steps:
-            ahead = step, self._camera_image(step.time_s)
+            ahead = step, self._camera.request(step.time_s)
             if waiting is not None:
                 yield self._camera_at(*waiting)
             waiting = ahead
@@ -102,14 +145,13 @@ class RolloutVideo:
             yield self._camera_at(*waiting)
 
     def _camera_at(self, step: RolloutStep, image: PendingImage) -> CameraImage:
-        camera = self._mounted.camera(self._played.rig_to_world(step.time_s)).pinhole
-        return CameraImage(step.step, self._mounted.name, image(), camera)
+        return CameraImage(step.step, self._mounted.name, image(), self._camera.camera(step.time_s))
 
     def pictures(self, times_s: Iterable[float]) -> Iterator[RgbImage]:
         """Frames at some times, each composed while the camera image of the next one is drawn."""
         waiting: tuple[float, PendingImage] | None = None
         for time_s in times_s:
-            ahead = time_s, self._camera_image(time_s)
+            ahead = time_s, self._camera.request(time_s)
             if waiting is not None:
                 yield self._composed(*waiting)
             waiting = ahead
@@ -117,7 +159,7 @@ class RolloutVideo:
             yield self._composed(*waiting)
 
     def picture(self, time_s: float) -> RgbImage:
-        return self._composed(time_s, self._camera_image(time_s))
+        return self._composed(time_s, self._camera.request(time_s))
 
     def _composed(self, time_s: float, image: PendingImage) -> RgbImage:
         ahead = self._camera_panel(time_s, image())
@@ -125,40 +167,17 @@ class RolloutVideo:
         whole = np.concatenate([ahead, self._readout_panel(time_s, width), self._above(time_s, width)])
         return np.ascontiguousarray(whole[: whole.shape[0] // 2 * 2])
 
-    def _camera_image(self, time_s: float) -> PendingImage:
-        """Draw the camera image, and start to read it back."""
-        played, rig = self._played, self._played.rig_to_world(time_s)
-        camera, state = self._mounted.camera(rig).pinhole, played.state(time_s)
-        velocity = state.speed_m_s * rig[:3, 0]
-        scene_s = played.scene_time_s(time_s)
-        frame = self._frame(played.scene(time_s), RenderView(camera, scene_s, velocity))
-        return draw(self._renderer, frame).request_uint8()
-
-    def _frame(self, scene: Scene, view: RenderView) -> FrameInput:
-        mount = Mount(self._memory, past=self._motion, camera_to_vehicle=self._mounted.camera_to_ego[:3, :3])
-        return FrameInput.of(scene, self._rainfall, self._sky, view, Quality(thinning=self._cut), mount=mount)
-
     def _camera_panel(self, time_s: float, pixels: RgbImage) -> RgbImage:
         """Draw the plan and the agent's latest detections on the camera image."""
-        played, step, state = self._played, self._played.step(time_s), self._played.state(time_s)
-        camera = self._mounted.camera(played.rig_to_world(time_s)).pinhole
+        step, state = self._played.step(time_s), self._played.state(time_s)
+        camera = self._camera.camera(time_s)
         picture = draw_boxes(pixels, (), _noted(step), _SURE)
         if step.plan:
-            points = played.state(step.time_s).to_world(np.array([(0.0, 0.0), *step.plan]))
+            points = self._played.state(step.time_s).to_world(np.array([(0.0, 0.0), *step.plan]))
             ahead = points[state.from_world(points)[:, 0] > 0]
             if len(ahead):
                 _draw_plan(picture, camera, ahead, step.ego.z_m + 0.02)
         return picture
-
-    def _motion(self, scene_time_s: float) -> CameraMotion:
-        """Motion of the camera at a time of the scene; before the drive that of its start."""
-        time_s = max(scene_time_s - self._played.scene_time_s(0.0), 0.0)
-        rig = self._played.rig_to_world(time_s)
-        speed_m_s = self._played.state(time_s).speed_m_s
-        camera, velocity_m_s = self._mounted.camera(rig).pinhole, speed_m_s * rig[:3, 0]
-        before_s = min(scene_time_s - self._played.scene_time_s(0.0), 0.0)
-        place_m = camera.position + before_s * velocity_m_s
-        return CameraMotion(camera.camera_to_world[:3, :3], velocity_m_s, place_m)
 
     def _readout_panel(self, time_s: float, width: int) -> RgbImage:
         played, step = self._played, self._played.step(time_s)

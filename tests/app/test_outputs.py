@@ -17,6 +17,7 @@ OUTPUTS = {
     "convert": ["none.ply OUT.ply", "none.ply ok.ply --json OUT"],
     "publish": ["none -o OUT.html", "none -o ok.html --json OUT"],
     "export-rain": ["street -o OUT.ply", "none -o ok --json OUT"],
+    "dataset": ["none -o OUT", "none -o ok --json OUT"],
     "calibrate": ["none -o OUT.yaml", "none -o ok.yaml --plot OUT.png", "none -o ok.yaml --json OUT"],
     "disdrometer": ["-o OUT.nc", "--json OUT"],
     "reconstruct": ["none -o OUT", "none -o ok --report OUT.html", "none -o ok --json OUT"],

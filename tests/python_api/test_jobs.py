@@ -18,8 +18,8 @@ from repository import REPOSITORY
 PROGRAMS = titled_blocks(REPOSITORY / "docs" / "python.md")
 JOBS = {
     "detection": "evaluate_detection", "attribution": "attribute", "lidar": "evaluate_lidar", "transfer": "transfer",
-    "recolor": "recolor", "reconstruct": "reconstruct", "export_rain": "export_rain", "publish": "publish",
-    "sweep": "sweep",
+    "recolor": "recolor", "reconstruct": "reconstruct", "export_rain": "export_rain", "dataset": "dataset",
+    "publish": "publish", "sweep": "sweep",
 }  # fmt: skip
 NEEDS = {"detection": "pycocotools", "attribution": "pycocotools", "reconstruct": "torch"}
 

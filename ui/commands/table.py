@@ -641,6 +641,7 @@ SHELL_COMMANDS = {
         "app.export_rain:export_rain",
         "Write the rain for other programs: its Gaussians (.ply), or a rainy copy of a recording.",
     ),
+    "dataset": ("app.dataset:dataset", "Write a labeled data set in several rains: nuScenes, KITTI or COCO."),
     "publish": ("app.publish:publish", "Write a scene and its rain as one web page: slider, divider, path."),
     "calibrate": ("app.rain:calibrate", "Fit drop numbers, sizes and speeds by intensity to disdrometer files."),
     "disdrometer": ("app.rain:disdrometer", "Measure the simulated rain with a virtual disdrometer."),
