@@ -20,7 +20,7 @@ from .source import DatasetSource
 
 @dataclass(frozen=True, kw_only=True)
 class DatasetChoice:
-    """What of a source becomes part of the data set."""
+    """Parts of a source that become the data set."""
 
     cameras: tuple[str, ...] = ()
     """Names; none are those of the first rig, of a recording all."""

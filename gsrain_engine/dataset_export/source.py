@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, NamedTuple, Protocol
+from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float32, Float64, UInt8, UInt16
@@ -68,6 +68,7 @@ class ObjectLabels(NamedTuple):
     """Along the view axis, 0 where unknown; None for a source without any."""
 
 
+@runtime_checkable
 class PicturesInRain(Protocol):
     """Pictures of a source in one rain."""
 
