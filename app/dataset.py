@@ -16,6 +16,7 @@ from .options import (
     BACKEND,
     JsonFile,
     Preset,
+    StructOptions,
     Wet,
     check_within,
     named_options,
@@ -29,7 +30,7 @@ from .options import (
 from .outputs import claim_outputs, write_numbers
 
 if TYPE_CHECKING:
-    from gsrain_engine.dataset_export.open import DatasetChoice
+    from gsrain_engine.dataset_export.source import DatasetChoice
     from gsrain_engine.datasets.capture import Capture
     from gsrain_engine.rain.available import Source
     from gsrain_engine.scene.scene import Scene
@@ -128,7 +129,7 @@ def dataset(
 def _choice(
     cameras: str, rate: float | None, moments: int | None, width: int | None, sensor: str | None
 ) -> "DatasetChoice":
-    from gsrain_engine.dataset_export.open import DatasetChoice
+    from gsrain_engine.dataset_export.source import DatasetChoice
     from gsrain_engine.evaluation.lidar.session import open_sensor
 
     check_within("--rate", rate, 0, 1000, "Hz", is_open=True)
@@ -146,7 +147,7 @@ def _rains(
     opened: "Scene | Capture | Scenario",
     intensities: list[float],
     preset: str | None,
-    options: "RainOptions",
+    options: StructOptions,
     kind: "Source",
 ) -> list[RainSettings]:
     """Return the rains in order of intensity: the preset's, else the scenario's or the scene's own."""

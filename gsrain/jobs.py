@@ -13,9 +13,10 @@ from gsrain_engine.appearance.base import TransferSettings
 from gsrain_engine.appearance.view_choice import ViewChoice
 from gsrain_engine.backends import open_renderer
 from gsrain_engine.choices import Backend
-from gsrain_engine.dataset_export.open import DatasetChoice, dataset_source, input_hashes, open_dataset_input
+from gsrain_engine.dataset_export.open import dataset_source, input_hashes, open_dataset_input
 from gsrain_engine.dataset_export.registry import LAYOUTS
 from gsrain_engine.dataset_export.session import export_dataset
+from gsrain_engine.dataset_export.source import DatasetChoice
 from gsrain_engine.datasets.capture import Capture
 from gsrain_engine.datasets.image_override import with_images
 from gsrain_engine.datasets.open_capture import open_capture

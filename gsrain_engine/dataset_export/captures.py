@@ -11,7 +11,6 @@ from ..datasets.geometry import Pose, invert_pose, lidar_depth, translation_pose
 from ..datasets.undistort import undistort_frame
 from ..evaluation.detection.ground_truth import ground_truth_from_boxes
 from ..evaluation.lidar.scan import LidarTurn, sweep_turn
-from ..evaluation.lidar.sensor import LidarSensor
 from ..rain.settings import RainSettings
 from ..recordings.pictures import PhotoRain
 from ..render.label_export import box_annotation
@@ -20,7 +19,7 @@ from ..render.provenance import PictureProvenance
 from ..render.renderer import Renderer
 from ..scene.geometry import box_corners
 from ..scene.scene import Scene
-from .source import DatasetMoment, DatasetSource, ObjectLabels, PicturesInRain, PlacedBox, Shot
+from .source import DatasetChoice, DatasetMoment, DatasetSource, ObjectLabels, PicturesInRain, PlacedBox, Shot
 
 _FROM_CAMERA = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
 _MIN_HEIGHT_PX = 3.0  # of an outline, as for objects of scenes
@@ -37,35 +36,30 @@ class CaptureSource(DatasetSource):
     def __init__(
         self,
         capture: Capture,
-        *,
-        cameras: Sequence[str] = (),
-        rate_hz: float | None = None,
-        moments: int | None = None,
-        width_px: int | None = None,
-        sensor: LidarSensor | None = None,
+        choice: DatasetChoice = DatasetChoice(),  # noqa: B008  # a value
         facts: Mapping[str, Any] | None = None,
     ) -> None:
-        """Use all moments, or at most `rate_hz` of them per second.
+        """Use all moments, or at most those of the rate.
 
         Raises ValueError for unknown cameras, and for poses whose unit of length is unknown.
         """
         if capture.has_poses and not capture.is_metric:
             raise ValueError(f"{capture.name}: its unit of length is unknown, and rain falls in meters")
         self.name, self.facts, self.has_poses = capture.name, dict(facts or {}), capture.has_poses
-        self._capture, self._sensor = capture, sensor
+        self._capture, self._sensor = capture, choice.sensor
         self._to_world = Scene(capture.name, up=capture.up).scene_to_world
         names = [each or _ONLY for each in capture.sensors]
-        unknown = next((name for name in cameras if name not in names), None)
+        unknown = next((name for name in choice.cameras if name not in names), None)
         if unknown is not None:
             raise ValueError(f"cameras: {capture.name} has no camera {unknown!r}, only {', '.join(names)}")
-        chosen = tuple(dict.fromkeys(cameras or names))
+        chosen = tuple(dict.fromkeys(choice.cameras or names))
         views = [view for view in capture if (view.sensor or _ONLY) in chosen]
         bent = list(dict.fromkeys(view.sensor or _ONLY for view in views if view.lens is not None))
-        straight = {view.name: undistort_frame(view, width_px) for view in views}
+        straight = {view.name: undistort_frame(view, choice.width_px) for view in views}
         grouped = _moments(views, chosen)
         self._views = [
             {name: straight[view.name] for name, view in group.items()}
-            for group in _thinned(grouped, rate_hz)[: moments or len(grouped)]
+            for group in _thinned(grouped, choice.rate_hz)[: choice.moments or len(grouped)]
         ]
         self.cameras = tuple(name for name in chosen if any(name in group for group in self._views))
         times_s = [min(view.time_s for view in group.values()) for group in self._views]
@@ -74,7 +68,7 @@ class CaptureSource(DatasetSource):
             for time_s, group in zip(times_s, self._views, strict=True)
         )
         self._sweeps = [_nearest(capture.sweeps, time_s, times_s) for time_s in times_s]
-        self.has_lidar = sensor is not None and any(each is not None for each in self._sweeps)
+        self.has_lidar = choice.sensor is not None and any(each is not None for each in self._sweeps)
         self.left_out = tuple(self._missing(bent))
 
     def _missing(self, bent: Sequence[str]) -> list[str]:

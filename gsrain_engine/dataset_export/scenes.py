@@ -36,7 +36,7 @@ from ..simulation.scenario import Scenario
 from ..simulation.sensors import camera_of_width
 from ..simulation.simulation import Simulation, run_drive
 from ..simulation.video import RolloutCamera
-from .source import DatasetMoment, DatasetSource, ObjectLabels, PicturesInRain, PlacedBox, Shot
+from .source import DatasetChoice, DatasetMoment, DatasetSource, ObjectLabels, PicturesInRain, PlacedBox, Shot
 
 DEFAULT_RATE_HZ = 2.0
 """Moments per second of scenes and scenarios: that of nuScenes' annotated samples."""
@@ -111,12 +111,7 @@ class SceneSource(_RenderedSource):
     def __init__(
         self,
         scene: Scene,
-        *,
-        cameras: Sequence[str] = (),
-        rate_hz: float = DEFAULT_RATE_HZ,
-        moments: int | None = None,
-        width_px: int | None = None,
-        sensor: LidarSensor | None = None,
+        choice: DatasetChoice = DatasetChoice(),  # noqa: B008  # a value
         facts: Mapping[str, Any] | None = None,
     ) -> None:
         """Use cameras of the scene's rigs, by default those of the first one.
@@ -124,39 +119,44 @@ class SceneSource(_RenderedSource):
         Raises ValueError for a scene without rig and path, and for cameras that it lacks.
         """
         self.name, self.facts = scene.name or "scene", dict(facts or {})
-        rig = bool(scene.rigs) and scene.ego is not None and bool(scene.ego.valid.any())
-        super().__init__(sensor if rig else None)
-        left_out: list[str] = [] if scene_objects(scene) else [f"scene {self.name!r} has no actors, so no boxes"]
+        ego = scene.ego if scene.rigs and scene.ego is not None and scene.ego.valid.any() else None
         self._views: dict[str, RigCameraView | CameraPath] = {}
-        if rig:
-            assert scene.ego is not None
-            chosen = find_rig_cameras(scene, tuple(cameras) or (next(iter(scene.rigs)),))
+        super().__init__(None if ego is None else choice.sensor)
+        self._size: dict[str, tuple[int, int]] = {}
+        left_out: list[str] = [] if scene_objects(scene) else [f"scene {self.name!r} has no actors, so no boxes"]
+        if ego is not None:
+            chosen = find_rig_cameras(scene, choice.cameras or (next(iter(scene.rigs)),))
             bent = [each.name for each in chosen if _mounted(each).is_bent]
             if bent:
                 left_out.append(f"lens and rolling shutter of {', '.join(bent)}: the layouts hold pinholes")
-            scene = replace(
-                scene,
-                rigs={name: tuple(_straight(each, width_px) for each in rig) for name, rig in scene.rigs.items()},
-            )
-            self._views = {each.name: RigCameraView(scene, each.rig, each.name) for each in chosen}
+            straight = {
+                name: tuple(_straight(each, choice.width_px) for each in cameras)
+                for name, cameras in scene.rigs.items()
+            }
+            scene = replace(scene, rigs=straight)
+            times = ego.times[ego.valid]
+            first_s, last_s = float(times[0]), float(times[-1])
+            for each in chosen:
+                view = RigCameraView(scene, each.rig, each.name)
+                self._views[each.name] = view
+                self._size[each.name] = view.at(first_s).width, view.at(first_s).height
             if len(self._views) < len(chosen):
                 raise ValueError(f"cameras: two cameras of scene {self.name!r} share a name; expected those of one rig")
-            times = scene.ego.times[scene.ego.valid]
-            first_s, last_s = float(times[0]), float(times[-1])
-            self._size = {name: (view.at(first_s).width, view.at(first_s).height) for name, view in self._views.items()}
         elif scene.path is not None:
-            if cameras:
+            if choice.cameras:
                 raise ValueError(f"cameras: scene {self.name!r} has no rig, only a camera path")
             left_out.append(f"scene {self.name!r} has no vehicle with cameras: one camera on its path, no lidar")
-            self._views, first_s, last_s = {"FRONT": scene.path}, scene.path.start_s, scene.path.end_s
+            first_s, last_s = scene.path.start_s, scene.path.end_s
             width, height = DEFAULT_SIZE_PX
-            self._size = {"FRONT": (width_px or width, round(height * (width_px or width) / width))}
+            wide = choice.width_px or width
+            self._views["FRONT"], self._size["FRONT"] = scene.path, (wide, round(height * wide / width))
         else:
             raise ValueError(f"scene {self.name!r} has neither a vehicle with cameras nor a camera path")
+        rate_hz = choice.rate_hz or DEFAULT_RATE_HZ
         self._scene, self._rate, self._first_s = scene, rate_hz, first_s
         count = max(int(np.floor((last_s - first_s) * rate_hz + 1e-6)) + 1, 1)
         self.cameras, self.left_out = tuple(self._views), tuple(left_out)
-        times_s = [first_s + k / rate_hz for k in range(min(count, moments or count))]
+        times_s = [first_s + k / rate_hz for k in range(min(count, choice.moments or count))]
         self._sequences = self._of(RainSimulation.start(RainSettings()))
         self.moments = tuple(DatasetMoment(time_s, self._vehicle(time_s)) for time_s in times_s)
 
@@ -220,21 +220,16 @@ class ScenarioSource(_RenderedSource):
         self,
         scenario: Scenario,
         scene: Scene,
-        *,
-        cameras: Sequence[str] = (),
-        rate_hz: float = DEFAULT_RATE_HZ,
-        moments: int | None = None,
-        width_px: int | None = None,
-        sensor: LidarSensor | None = None,
+        choice: DatasetChoice = DatasetChoice(),  # noqa: B008  # a value
         facts: Mapping[str, Any] | None = None,
     ) -> None:
         """Drive the scenario by `SCENARIO_DRIVER`.
 
         Raises ValueError for a scene that lacks what the scenario needs, or has no rig, and for unknown cameras.
         """
-        super().__init__(sensor)
-        if width_px is not None:
-            scenario = msgspec.structs.replace(scenario, picture_width_px=width_px)
+        super().__init__(choice.sensor)
+        if choice.width_px is not None:
+            scenario = msgspec.structs.replace(scenario, picture_width_px=choice.width_px)
         self.name, self.facts = scenario.name, dict(facts or {})
         agent = open_agent(SCENARIO_DRIVER)
         try:
@@ -246,15 +241,16 @@ class ScenarioSource(_RenderedSource):
         rig = {each.name: each for each in self._played.rig.cameras}
         if not rig:
             raise ValueError(f"scene {scene.name!r} has no vehicle with cameras, of which the pictures could be")
-        unknown = next((name for name in cameras if name not in rig), None)
+        unknown = next((name for name in choice.cameras if name not in rig), None)
         if unknown is not None:
             raise ValueError(f"cameras: the rig has no camera {unknown!r}, only {', '.join(rig)}")
-        self._mounted = {name: rig[name] for name in dict.fromkeys(cameras or rig)}
+        self._mounted = {name: rig[name] for name in dict.fromkeys(choice.cameras or rig)}
         self.cameras = tuple(self._mounted)
         bent = [name for name, each in self._mounted.items() if each.is_bent]
         self.left_out = (f"lens and rolling shutter of {', '.join(bent)}: the layouts hold pinholes",) if bent else ()
+        rate_hz = choice.rate_hz or DEFAULT_RATE_HZ
         count = int(np.floor(self._played.end_s * rate_hz + 1e-6)) + 1
-        times_s = [k / rate_hz for k in range(min(count, moments or count))]
+        times_s = [k / rate_hz for k in range(min(count, choice.moments or count))]
         above = translation_pose(np.array([0.0, 0.0, -self._played.rig.height_m]))
         self.moments = tuple(DatasetMoment(t, self._played.rig_to_world(t) @ above) for t in times_s)
 

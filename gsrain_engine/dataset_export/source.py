@@ -2,6 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -9,6 +10,7 @@ from jaxtyping import Float32, Float64, UInt8, UInt16
 
 from ..datasets.geometry import Pose, invert_pose, transform_points
 from ..evaluation.lidar.scan import LidarTurn, scan_in_rain
+from ..evaluation.lidar.sensor import LidarSensor
 from ..rain.settings import RainSettings
 from ..rain.simulation import RainSimulation
 from ..render.provenance import PictureProvenance
@@ -17,6 +19,22 @@ from ..scene.camera import Camera
 from ..water.spray import spray_of
 
 _MARGIN_M = 0.1  # of a box around the points that count as its own
+
+
+@dataclass(frozen=True, kw_only=True)
+class DatasetChoice:
+    """Parts of a source that become the data set."""
+
+    cameras: tuple[str, ...] = ()
+    """Names; none are those of the first rig, of a recording all."""
+    rate_hz: float | None = None
+    """Moments per second; None is 2, of a recording all."""
+    moments: int | None = None
+    """Maximum number of moments, from the first."""
+    width_px: int | None = None
+    """Width of the pictures; None is the cameras' own."""
+    sensor: LidarSensor | None = None
+    """Lidar on the roof, or that of the recording; None leaves it out."""
 
 
 class Shot(NamedTuple):

@@ -8,6 +8,7 @@ from boxy_scene import boxy_scene
 from gsrain_engine.dataset_export.registry import LAYOUTS
 from gsrain_engine.dataset_export.scenes import SceneSource
 from gsrain_engine.dataset_export.session import export_dataset
+from gsrain_engine.dataset_export.source import DatasetChoice
 from gsrain_engine.evaluation.lidar.sensor import SENSORS
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.render.cpu.renderer import CpuRenderer
@@ -23,7 +24,8 @@ def two_cars():
 
 
 def small_source(scene=None, **options):
-    return SceneSource(scene or two_cars(), **{"rate_hz": 1, "moments": 2, "width_px": 160, "sensor": COARSE} | options)
+    choice = {"rate_hz": 1, "moments": 2, "width_px": 160, "sensor": COARSE} | options
+    return SceneSource(scene or two_cars(), DatasetChoice(**choice))
 
 
 def rains(*intensities_mm_h):

@@ -13,6 +13,7 @@ from dataset_export.small_dataset import COARSE, contents, small_source, steps_o
 from datasets.sample_drives import write_nuscenes
 from gsrain_engine.dataset_export.captures import CaptureSource
 from gsrain_engine.dataset_export.scenes import ScenarioSource, SceneSource
+from gsrain_engine.dataset_export.source import DatasetChoice
 from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.formats.scene_files import write_scene
@@ -80,7 +81,7 @@ def test_a_recording_keeps_its_cameras_boxes_and_lidar(tmp_path):
     drive = MiniDrive()
     write_nuscenes(tmp_path / "recorded", drive)
     recorded = open_capture(tmp_path / "recorded")
-    source = CaptureSource(recorded, sensor=COARSE)
+    source = CaptureSource(recorded, DatasetChoice(sensor=COARSE))
     assert any("instance masks" in each for each in source.left_out)
     write_dataset(tmp_path / "set", "nuscenes", 0, 50, source=source)
     check_tables(tmp_path / "set" / "rain_50")
@@ -102,11 +103,11 @@ def test_moments_of_a_recording_are_thinned_and_cameras_chosen(tmp_path):
     write_nuscenes(tmp_path, MiniDrive())
     recorded = open_capture(tmp_path)
     assert len(CaptureSource(recorded).moments) == 3
-    assert [each.time_s for each in CaptureSource(recorded, rate_hz=1).moments] == [0.0, 1.0]
-    assert len(CaptureSource(recorded, moments=1).moments) == 1
-    assert CaptureSource(recorded, width_px=32).shot(0, "CAM_FRONT").camera.width == 32
+    assert [each.time_s for each in CaptureSource(recorded, DatasetChoice(rate_hz=1)).moments] == [0.0, 1.0]
+    assert len(CaptureSource(recorded, DatasetChoice(moments=1)).moments) == 1
+    assert CaptureSource(recorded, DatasetChoice(width_px=32)).shot(0, "CAM_FRONT").camera.width == 32
     with pytest.raises(ValueError, match="no camera 'CAM_BACK', only CAM_FRONT"):
-        CaptureSource(recorded, cameras=("CAM_BACK",))
+        CaptureSource(recorded, DatasetChoice(cameras=("CAM_BACK",)))
 
 
 def test_layouts_with_poses_refuse_a_recording_without(tmp_path):
@@ -123,7 +124,9 @@ def test_layouts_with_poses_refuse_a_recording_without(tmp_path):
 def test_a_scenario_is_the_same_drive_in_each_rain(tmp_path):
     fields = {"road_users": [lead(ahead_m=9.0)], "duration_s": 1.0, "speed_m_s": 4.0}
     scene = replace(longer_scene(), layers=scene_with_box().layers, actors=scene_with_box().actors)
-    source = ScenarioSource(scenario(**fields), scene, cameras=("CAM_FRONT",), rate_hz=2, moments=2, sensor=COARSE)
+    source = ScenarioSource(
+        scenario(**fields), scene, DatasetChoice(cameras=("CAM_FRONT",), rate_hz=2, moments=2, sensor=COARSE)
+    )
     write_dataset(tmp_path / "set", "nuscenes", 0, 50, source=source)
     tables = check_tables(tmp_path / "set" / "rain_50")
     assert [each["timestamp"] for each in tables["sample"]] == [0, 500_000]
@@ -135,14 +138,14 @@ def test_a_scenario_is_the_same_drive_in_each_rain(tmp_path):
     held = json.loads((tmp_path / "set/rain_50/provenance/CAM_FRONT/000001.json").read_text())
     assert held["intensity_mm_h"] == 50 and held["time_s"] == 0.5
     with pytest.raises(ValueError, match="no camera 'FRONT', only CAM_FRONT, CAM_BACK"):
-        ScenarioSource(scenario(**fields), scene, cameras=("FRONT",))
+        ScenarioSource(scenario(**fields), scene, DatasetChoice(cameras=("FRONT",)))
 
 
 def test_a_scene_without_a_rig_is_taken_along_its_path(tmp_path):
     facing = np.tile(quaternions_from_matrices(AHEAD), (2, 1))
     path = CameraPath(np.array([0.0, 1.0]), np.array([[0.0, 0, 2], [6, 0, 2]]), facing, np.full(2, 50.0))
     scene = replace(small_scene(), rigs={}, ego=None)
-    source = SceneSource(replace(scene, path=path), moments=2, width_px=96, sensor=COARSE)
+    source = SceneSource(replace(scene, path=path), DatasetChoice(moments=2, width_px=96, sensor=COARSE))
     assert not source.has_lidar and any("no vehicle with cameras" in each for each in source.left_out)
     write_dataset(tmp_path / "set", "nuscenes", 8.5, source=source)
     places = [each["translation"] for each in check_tables(tmp_path / "set" / "rain_8.5")["ego_pose"]]
