@@ -10,20 +10,18 @@ import numpy as np
 from jaxtyping import UInt8
 
 from ..datasets.geometry import Pose, translation_pose
-from ..evaluation.lidar.scan import LidarTurn, scene_turns
+from ..evaluation.lidar.scan import LidarTurn, scene_turns, surface_depth
 from ..evaluation.lidar.sensor import LidarSensor
 from ..rain.settings import RainSettings
 from ..rain.simulation import OVERCAST, RainSimulation
 from ..render.draw import draw
 from ..render.export_settings import DEFAULT_SIZE_PX
-from ..render.frame_input import FILTERS, FrameInput, Quality
 from ..render.label_export import instances, object_annotation
 from ..render.object_labels import visible_objects
 from ..render.provenance import PictureProvenance, provenance_of
 from ..render.renderer import Renderer
 from ..render.sequence import FrameSequence, RigCameraView, find_rig_cameras
 from ..render.sky_color import SkyColor
-from ..render.view import RenderView
 from ..scene.camera import Camera
 from ..scene.camera_path import CameraPath
 from ..scene.objects import scene_objects
@@ -86,9 +84,7 @@ class _RenderedSource(DatasetSource):
         scene, time_s = self._at(moment)
         lens = self._camera(moment, camera)
         visible = visible_objects(renderer, scene, scene_objects(scene), lens, time_s)
-        dry, view, quality = RainSimulation.start(RainSettings()), RenderView(lens, time_s), Quality(with_depth=True)
-        clear = FrameInput.of(scene, dry, OVERCAST, view, quality, is_clear=True, without=FILTERS)
-        depth = draw(renderer, clear).frame().depth
+        depth = surface_depth(scene, time_s, lens)
         return ObjectLabels([object_annotation(each) for each in visible], instances(visible, lens), depth)
 
     def clear_turn(self, moment: int) -> LidarTurn | None:

@@ -151,6 +151,15 @@ def test_annotations_of_coco_are_those_of_the_pixels(written):
     assert any("coco has none" in each for each in result.numbers["left_out"])
 
 
+def test_depth_is_that_of_the_surfaces(written):
+    depth_m = read_picture(written["coco"][0] / "labels" / "depth" / "FRONT" / "000000.png") / 100
+    focal, middle, height = 160 / 960 * 800, 160 / 960 * 320, depth_m.shape[0]
+    rows = np.arange(height * 5 // 8, height)  # the road, 1.5 m below the camera, up to 15 m ahead
+    expected = focal * 1.5 / (rows + 0.5 - middle)
+    np.testing.assert_allclose(np.median(depth_m[rows, 30:60], axis=1), expected, rtol=0.01)
+    assert (depth_m[:10] == 0).mean() > 0.5  # the sky
+
+
 @pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")
 def test_pycocotools_reads_the_annotations(written):
     coco = pytest.importorskip("pycocotools.coco")

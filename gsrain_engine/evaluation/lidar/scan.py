@@ -218,10 +218,7 @@ def scan_scene(
     origin = sensor_to_world[:3, 3].copy()
     ranges, normals = np.full(len(own), np.inf), np.zeros((len(own), 3))
     azimuths = np.degrees(np.arctan2(own[:, 1], own[:, 0]))
-    placed = [(each, part) for each in scene.members if each.visible and (part := scene.part(each, time_s)) is not None]
-    parts = [part for _, part in placed]
-    sky = [np.full(len(p.gaussians), isinstance(m, Layer) and m.kind == "sky") for m, p in placed]
-    is_sky = np.concatenate([np.zeros(0, np.bool_), *sky])
+    parts, is_sky = _placed(scene, time_s)
     faces = np.round(azimuths / _FACE_DEG).astype(int) % 4
     for face in np.unique(faces).tolist():
         mine = np.flatnonzero(faces == face)
@@ -245,6 +242,28 @@ def scan_scene(
         road_cosines=np.where(is_road, cosines, 0.0),
         untouched=np.zeros(len(own), bool),
     ).heard_by(sensor)
+
+
+def _placed(scene: Scene, time_s: float) -> tuple[list[DrawItem], Bool[np.ndarray, " g"]]:
+    """Visible parts at a time, and the mask of the sky's Gaussians among theirs."""
+    placed = [(each, part) for each in scene.members if each.visible and (part := scene.part(each, time_s)) is not None]
+    sky = [np.full(len(p.gaussians), isinstance(m, Layer) and m.kind == "sky") for m, p in placed]
+    return [part for _, part in placed], np.concatenate([np.zeros(0, np.bool_), *sky])
+
+
+def surface_depth(scene: Scene, time_s: float, camera: Camera) -> Float32[np.ndarray, "h w"]:
+    """Meters along the view axis of a pinhole at the pixels' centers, of the surfaces that a lidar would meet.
+
+    0 for the sky and where there is no surface. Flat Gaussians count as pieces of planes, so that a road is as far as
+    it is also at a grazing angle, where the centers of its Gaussians are not.
+    """
+    u, v = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
+    own = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u)], axis=-1).reshape(-1, 3)
+    lengths = np.linalg.norm(own, axis=1)
+    directions = own @ camera.world_to_camera[:3, :3] / lengths[:, None]
+    ranges, _ = _surfaces_met(*_placed(scene, time_s), directions, camera)
+    depth = np.where(np.isfinite(ranges), ranges / lengths, 0.0)
+    return depth.reshape(camera.height, camera.width).astype(np.float32)
 
 
 def _own_directions(sensor: LidarSensor) -> Float64[np.ndarray, "n 3"]:
