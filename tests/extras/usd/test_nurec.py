@@ -5,6 +5,7 @@ import io
 import json
 import logging
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -242,34 +243,34 @@ def _changed(name: str, change: Any, part: str = "dynamic_rigids") -> bytes:
 
 
 @pytest.mark.parametrize(
-    "data",
+    "make",
     [
-        b"",
-        b"no gzip",
-        gzip.compress(b"no MessagePack"),
-        gzip.compress(msgspec.msgpack.encode([1, 2])),
-        gzip.compress(msgspec.msgpack.encode({"nre_data": {}})),
-        gzip.compress(msgspec.msgpack.encode({"nre_data": {"state_dict": {}}})),
-        gzip.compress(b"\x91" * 5000),
-        gzip.compress(bytes(400_000_000)),
-        volume(state())[:-100],
-        volume({"gaussians_nodes.background.positions": torch.zeros(4, 3)}),
-        _changed("positions", lambda each: each[:-1]),
-        _changed("positions", lambda each: each * torch.nan),
-        _changed("positions", lambda _: "positions"),
-        _changed("rotations", lambda each: each * 0),
-        _changed("scales", lambda each: each.repeat(1, 2)),
-        _changed("densities", lambda each: each[:7]),
-        _changed("features_albedo", lambda each: each[:, :, :2]),
-        _changed("features_specular", lambda each: each[:, :10]),
-        _changed("gaussian_cuboid_ids", lambda each: each[:3]),
-        volume({**state(), "background.textures": torch.zeros(1, 5, 8, 8, 3)}),
-        volume({**state(), "background.textures": torch.full((1, 6, 8, 8, 3), torch.nan)}),
-        volume({**state(), "_extra_state": {"obj_track_ids": {"dynamic_rigids": 3}}}),
+        lambda: b"",
+        lambda: b"no gzip",
+        lambda: gzip.compress(b"no MessagePack"),
+        lambda: gzip.compress(msgspec.msgpack.encode([1, 2])),
+        lambda: gzip.compress(msgspec.msgpack.encode({"nre_data": {}})),
+        lambda: gzip.compress(msgspec.msgpack.encode({"nre_data": {"state_dict": {}}})),
+        lambda: gzip.compress(b"\x91" * 5000),
+        lambda: gzip.compress(bytes(400_000_000)),
+        lambda: volume(state())[:-100],
+        lambda: volume({"gaussians_nodes.background.positions": torch.zeros(4, 3)}),
+        lambda: _changed("positions", lambda each: each[:-1]),
+        lambda: _changed("positions", lambda each: each * torch.nan),
+        lambda: _changed("positions", lambda _: "positions"),
+        lambda: _changed("rotations", lambda each: each * 0),
+        lambda: _changed("scales", lambda each: each.repeat(1, 2)),
+        lambda: _changed("densities", lambda each: each[:7]),
+        lambda: _changed("features_albedo", lambda each: each[:, :, :2]),
+        lambda: _changed("features_specular", lambda each: each[:, :10]),
+        lambda: _changed("gaussian_cuboid_ids", lambda each: each[:3]),
+        lambda: volume({**state(), "background.textures": torch.zeros(1, 5, 8, 8, 3)}),
+        lambda: volume({**state(), "background.textures": torch.full((1, 6, 8, 8, 3), torch.nan)}),
+        lambda: volume({**state(), "_extra_state": {"obj_track_ids": {"dynamic_rigids": 3}}}),
     ],
 )
-def test_damaged_volumes_are_refused_in_one_sentence(tmp_path: Path, data: bytes) -> None:
-    (tmp_path / "a.nurec").write_bytes(data)
+def test_damaged_volumes_are_refused_in_one_sentence(tmp_path: Path, make: Callable[[], bytes]) -> None:
+    (tmp_path / "a.nurec").write_bytes(make())
     with pytest.raises(SceneFormatError) as caught:
         read_scene(tmp_path / "a.nurec")
     assert str(caught.value).startswith(f"{tmp_path / 'a.nurec'}: ") and "\n" not in str(caught.value)
