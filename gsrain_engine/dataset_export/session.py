@@ -14,6 +14,7 @@ from PIL import Image
 
 from ..appearance.capture_photos import COPY_JPEG_QUALITY
 from ..datasets.geometry import Pose
+from ..datasets.io.images import read_color
 from ..rain.settings import RainSettings
 from ..rain.simulation import RainSimulation
 from ..render.images import write_image, write_labels, write_png
@@ -295,7 +296,6 @@ def _strip(files: Sequence[Path]) -> UInt8[np.ndarray, "h w 3"]:
     """Return the first picture in each rain, side by side."""
     pictures: list[UInt8[np.ndarray, "h w 3"]] = []
     for file in files:
-        with Image.open(file) as image:
-            height = max(round(image.height * _STRIP_PX / image.width), 1)
-            pictures.append(np.asarray(image.convert("RGB").resize((_STRIP_PX, height))))
+        image = Image.fromarray(read_color(file))
+        pictures.append(np.asarray(image.resize((_STRIP_PX, max(round(image.height * _STRIP_PX / image.width), 1)))))
     return np.concatenate(pictures, axis=1) if pictures else np.zeros((1, 2, 3), np.uint8)

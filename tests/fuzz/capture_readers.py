@@ -160,6 +160,10 @@ def _bag(storage: str, folder: Path) -> None:
     (folder / "moved").rmdir()
 
 
+def _waymo_infos(folder: Path) -> Path:
+    return write_infos(folder, _SMALL, "waymo")
+
+
 _XML, _RECORD = ("*.xml", damaged_text), ("*.tfrecord", inside_records(framed))
 
 CAPTURE_READERS = (
@@ -174,7 +178,7 @@ CAPTURE_READERS = (
     _row("nuscenes-infos-old", _INFOS, lambda folder: write_infos(folder, _SMALL, "0.x"), _PKL, _BYTES),
     _row("kitti-raw", "KITTI raw", lambda folder: write_kitti(folder, drive_on_the_road()), _TEXT, _BYTES, _XML),
     _row("kitti-objects", "KITTI object detection", write_kitti_objects, _TEXT, _BYTES),
-    _row("waymo-infos", _INFOS, lambda folder: write_infos(folder, _SMALL, "waymo"), _PKL, _BYTES),
+    Reader("waymo-infos", _waymo_infos, _read, CaptureError, (_PKL, _BYTES, *_PICTURES)),
     Reader("kitti-infos", write_kitti_infos, _read, CaptureError, (_PKL, _BYTES, *_PICTURES)),
     _row("kitti-360", "KITTI-360", lambda folder: write_kitti360(folder, _SMALL), _TEXT, _BYTES, _XML),
     _row("kitti-odometry", "KITTI odometry", write_sequence, _TEXT, _BYTES),

@@ -210,7 +210,7 @@ def test_a_vehicle_whose_checkpoint_holds_anything_but_tensors_is_refused(cars, 
 
     torch.save(Malicious(), cars / CAR[5] / "gs.pth")
     monkeypatch.setenv(VEHICLES_VARIABLE, str(cars))
-    with pytest.raises(ValueError, match=r"gs\.pth: not a checkpoint of plain tensors"):
+    with pytest.raises(ValueError, match=r"gs\.pth: no checkpoint of plain tensors"):
         Simulation(load_scenario(written(CAR)), small_scene())
     assert "this ran" not in capsys.readouterr().out
 

@@ -118,8 +118,10 @@ def unreachable(title):
 
 
 def test_dialogs_fit_into_the_window_or_scroll(driver, sizes, cut, tmp_path):
-    (lately := tmp_path / "recordings_of_the_evening_drive_through_the_old_town").mkdir()
-    driver.editor.files.recent = [lately / "scene.ply"]
+    lately = [tmp_path / f"recordings_of_the_evening_drive_through_the_old_town_{number}" for number in range(6)]
+    for folder in lately:
+        folder.mkdir()
+    driver.editor.files.recent = [folder / "scene.ply" for folder in lately]
     found, options = {}, driver.editor.viewport.options
     for size in sizes():
         for title, show in DIALOGS.items():

@@ -321,7 +321,8 @@ class FileBrowser:
         below += imgui.get_frame_height_with_spacing() if self._problem or self._replaced is not None else 0
         tall = max(imgui.get_content_region_avail().y - below, _MIN_LIST_EM * em)
         if imgui.get_content_region_avail().x > _MIN_DETAILS_EM * em:
-            if imgui.begin_child("places", ImVec2(min(12 * em, 0.25 * imgui.get_window_width()), tall)):
+            wide = min(max(0.25 * imgui.get_window_width(), 9 * em), 12 * em)
+            if imgui.begin_child("places", ImVec2(wide, tall)):
                 self._draw_places()
             imgui.end_child()
             imgui.same_line()

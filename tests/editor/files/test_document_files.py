@@ -305,11 +305,11 @@ def test_a_drive_plays_in_the_scene_that_it_was_started_in_alone(editor, tmp_pat
     write_rollout(tmp_path / "driven.jsonl", driven()[1])
     found = [load_rollout(tmp_path / "driven.jsonl")]
     editor.document.edit("Reconstruct", replace_scene, small_scene("made"), origin="job")
-    assert receivers[0](found, True) is not None
+    assert "not open any more" in receivers[0](found, True)
     settled(editor)
     assert editor.rollouts.opened == found and editor.rollouts.playing is None
     editor.document.undo()
-    assert receivers[0](found, True) is None
+    assert receivers[0](found, True) == "collision with lead after 2.25 s"
     settled(editor)
     assert editor.rollouts.playing is found[0]
 

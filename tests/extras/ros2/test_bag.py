@@ -15,6 +15,7 @@ from gsrain_engine.evaluation.lidar.sensor import SENSORS
 from gsrain_engine.rain.settings import RainSettings
 from gsrain_engine.rain.simulation import RainSimulation
 from gsrain_engine.scene.camera import Camera
+from gsrain_engine.scene.open import load_scene
 from gsrain_engine.simulation.lidar_turns import LidarTurnInRain, rollout_lidar_turns
 from gsrain_engine.simulation.playback import RolloutPlayback
 from gsrain_engine.simulation.rollout import CameraImage
@@ -106,9 +107,7 @@ class Standing(RolloutPlayback):
 
 @pytest.mark.street
 def test_the_lidar_of_the_street_and_of_its_bag_lose_the_same_returns_in_rain(tmp_path):
-    from gsrain_extras.street.scenes import STREET
-
-    scene, sensor, bins = STREET.build(), SENSORS["64"], [2, 5, 10, 20, 30, 50, 80, 120]
+    scene, sensor, bins = load_scene("street"), SENSORS["64"], [2, 5, 10, 20, 30, 50, 80, 120]
     dry, rain = (RainSimulation.start(RainSettings(intensity_mm_h=each)) for each in (0.0, 12.0))
     rig = scene.ego_to_world(0.0)
     own = msgspec.structs.replace(ego(rig[0, 3], rig[1, 3]), z_m=float(rig[2, 3]) - EGO_HEIGHT_M)
