@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 
 from ..datasets.capture import EGO_HEIGHT_M, Capture, CaptureFrame, LidarSweep
-from ..datasets.geometry import Pose, invert_pose, lidar_depth, translation_pose
+from ..datasets.geometry import OPENCV_FROM_VEHICLE_AXES, Pose, invert_pose, lidar_depth, translation_pose
 from ..datasets.undistort import undistort_frame
 from ..evaluation.detection.ground_truth import ground_truth_from_boxes
 from ..evaluation.lidar.scan import LidarTurn, sweep_turn
@@ -21,7 +21,6 @@ from ..scene.geometry import box_corners
 from ..scene.scene import Scene
 from .source import DatasetChoice, DatasetMoment, DatasetSource, ObjectLabels, PicturesInRain, PlacedBox, Shot
 
-_FROM_CAMERA = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
 _MIN_HEIGHT_PX = 3.0  # of an outline, as for objects of scenes
 _ONLY = "camera"  # name of the only camera of a recording that has no name
 
@@ -94,7 +93,7 @@ class CaptureSource(DatasetSource):
         pose = None if self._capture.ego is None else self._capture.ego.pose(time_s)
         if pose is None:
             first = next(iter(group.values()))
-            pose = first.camera.camera_to_world @ _FROM_CAMERA
+            pose = first.camera.camera_to_world @ OPENCV_FROM_VEHICLE_AXES
         return self._to_world @ pose @ above
 
     def shot(self, moment: int, camera: str) -> Shot | None:

@@ -1,5 +1,6 @@
 """Scenes with a rig on a drive, and drives of scenarios, as sources of data sets."""
 
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
@@ -9,7 +10,7 @@ import msgspec
 import numpy as np
 from jaxtyping import UInt8
 
-from ..datasets.geometry import Pose, translation_pose
+from ..datasets.geometry import OPENCV_FROM_VEHICLE_AXES, Pose, translation_pose
 from ..evaluation.lidar.scan import LidarTurn, scene_turns, surface_depth
 from ..evaluation.lidar.sensor import LidarSensor
 from ..rain.settings import RainSettings
@@ -42,8 +43,6 @@ DEFAULT_RATE_HZ = 2.0
 SCENARIO_DRIVER = "oracle-idm"
 """Agent that drives a scenario once, for all rains: it needs no cameras."""
 
-_FROM_CAMERA = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
-"""From x forward, y left, z up to a camera's axes."""
 
 Colors = UInt8[np.ndarray, "h w 3"]
 
@@ -57,12 +56,13 @@ class _RenderedSource(DatasetSource):
         self._rings = 1 if sensor is None else len(sensor.elevations_deg)
         self._at = lru_cache(maxsize=1)(self._scene_at)
 
+    @abstractmethod
     def _scene_at(self, moment: int) -> tuple[Scene, float]:
         """Return the scene at a moment, and the time of scene and rain."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _camera(self, moment: int, camera: str) -> Camera:
-        raise NotImplementedError
+        """Return a camera at a moment."""
 
     def shot(self, moment: int, camera: str) -> Shot:
         return Shot(self.moments[moment].time_s, self._camera(moment, camera))
@@ -168,7 +168,7 @@ class SceneSource(_RenderedSource):
         ego, above = self._scene.ego_to_world(time_s), sensor_height_m(self._scene)
         if ego is None:
             (sequence,) = self._sequences.values()
-            ego = sequence.shot_at(time_s).camera.camera_to_world @ _FROM_CAMERA
+            ego = sequence.shot_at(time_s).camera.camera_to_world @ OPENCV_FROM_VEHICLE_AXES
         return ego @ translation_pose(np.array([0.0, 0.0, -above]))
 
     def _scene_at(self, moment: int) -> tuple[Scene, float]:

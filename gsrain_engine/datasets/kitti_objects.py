@@ -17,13 +17,12 @@ from .geometry import BoxSample, Pose, invert_pose, rigid_from_numbers, rigid_po
 from .io.arrays import read_text
 from .io.images import images_in
 from .io.sweep_files import RowFile
-from .kitti import Calibration, KittiCamera, calibration_numbers, read_kitti_calibration
+from .kitti import MAX_TEXT_BYTES, Calibration, KittiCamera, calibration_numbers, read_kitti_calibration
 
 _SPLITS, _SENSORS = ("training", "testing"), ("image_2", "image_3")
 LIDAR_HEIGHT_M = 1.73
 """Height of the lidar above the road (figure 3 of Geiger et al., 2013)."""
 
-_MAX_TEXT_BYTES = 1 << 24
 _STEP_S = 1.0  # between two pictures, which have no times
 _NO_OBJECT = "DontCare"
 _LABEL_WORDS = 15
@@ -117,7 +116,7 @@ def _scans(log: DrivingLog, folder: Path, frames: Sequence[str]) -> Iterator[Lid
 def _add_boxes(log: DrivingLog, file: Path, time_s: float, first_to_world: Pose) -> None:
     """Add the boxes of a label file, whose objects have no identity over time."""
     with log.omitting(f"label_2/{file.name}"):
-        for number, line in enumerate(read_text(file, _MAX_TEXT_BYTES).splitlines()):
+        for number, line in enumerate(read_text(file, MAX_TEXT_BYTES).splitlines()):
             words = line.split()
             if not words or words[0] == _NO_OBJECT:
                 continue

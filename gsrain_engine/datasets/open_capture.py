@@ -23,8 +23,9 @@ from .kitti import read_kitti_odometry, read_kitti_raw, recognizes_kitti_odometr
 from .kitti360 import read_kitti360, recognizes_kitti360
 from .kitti_objects import read_kitti_objects, recognizes_kitti_objects
 from .layout_hints import foreign_poses, nearest_layout
+from .mmdetection3d import read_infos, recognizes_infos
 from .nerfstudio import read_nerfstudio, recognizes_nerfstudio
-from .nuscenes import read_nuscenes, read_nuscenes_infos, recognizes_nuscenes, recognizes_nuscenes_infos
+from .nuscenes import read_nuscenes, recognizes_nuscenes
 from .rainsense import read_rainsense, recognizes_rainsense
 from .waymo import read_waymo_records, read_waymo_tables, recognizes_waymo_records, recognizes_waymo_tables
 
@@ -52,7 +53,7 @@ FORMATS: tuple[CaptureFormat, ...] = (
     CaptureFormat("capture folder", recognizes_capture_folder, read_capture_folder),
     CaptureFormat("DGP", recognizes_dgp, read_dgp),
     CaptureFormat("nuScenes", recognizes_nuscenes, read_nuscenes, names_inside=True),
-    CaptureFormat("nuScenes (MMDetection3D)", recognizes_nuscenes_infos, read_nuscenes_infos, names_inside=True),
+    CaptureFormat("MMDetection3D", recognizes_infos, read_infos, names_inside=True),
     CaptureFormat("Waymo Perception v1", recognizes_waymo_records, read_waymo_records),
     CaptureFormat("Waymo Perception v2", recognizes_waymo_tables, read_waymo_tables, names_inside=True),
     CaptureFormat("KITTI raw", recognizes_kitti_raw, read_kitti_raw),

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from app.main import BAD_INPUT, run
 from boxy_scene import boxy_scene
@@ -18,7 +19,7 @@ from gsrain_engine.datasets.open_capture import open_capture
 from gsrain_engine.scene.camera_path import CameraPath
 from gsrain_engine.scene.formats.scene_files import write_scene
 from gsrain_engine.scene.geometry import quaternions_from_matrices
-from mini_drive import MiniDrive
+from mini_drive import HEIGHT, WIDTH, MiniDrive
 from simulation.small_drive import lead, longer_scene, scenario, scene_with_box
 from small_scene import AHEAD, small_scene
 
@@ -97,6 +98,20 @@ def test_a_recording_keeps_its_cameras_boxes_and_lidar(tmp_path):
     assert [each["class_name"] for each in objects] == ["vehicle.car"] and objects[0]["segmentation"] == []
     depth = tmp_path / "set" / "labels" / "depth" / "CAM_FRONT" / "000000.png"
     assert depth.is_file() and not (tmp_path / "set" / "labels" / "instances").exists()
+
+
+def test_a_data_set_and_a_rainy_copy_have_the_same_pictures(tmp_path):
+    write_nuscenes(tmp_path / "recorded", MiniDrive())
+    for file in (tmp_path / "recorded").rglob("*.jpg"):
+        stripes = np.where(np.arange(WIDTH) // 8 % 2, 220, 30).astype(np.uint8)
+        Image.fromarray(np.broadcast_to(stripes[:, None], (HEIGHT, WIDTH, 3)).copy()).save(file, quality=95)
+    rain = ["--rain", "50"]
+    assert run(["export-rain", str(tmp_path / "recorded"), "-o", str(tmp_path / "copy"), *rain]) == 0
+    assert run(["dataset", str(tmp_path / "recorded"), "-o", str(tmp_path / "set"), *rain]) == 0
+    views = zip(*(open_capture(tmp_path / name) for name in ("recorded", "copy", "set/rain_50")), strict=True)
+    for clear, copied, own in views:
+        changed = np.abs(copied.image.astype(int) - clear.image).mean()
+        assert changed > 1 and np.abs(own.image.astype(int) - copied.image).mean() < 0.1 * changed
 
 
 def test_moments_of_a_recording_are_thinned_and_cameras_chosen(tmp_path):

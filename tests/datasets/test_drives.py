@@ -78,7 +78,7 @@ class Miniature(NamedTuple):
     drive: MiniDrive = DRIVE
 
 
-_MMDETECTION = "nuScenes (MMDetection3D)"
+_MMDETECTION = "MMDetection3D"
 _DGP = (".", "scene_07", "scene_07/scene_abc.json", "scene_dataset_v1.json")
 MINIATURES = {
     "dgp": Miniature("DGP", write_dgp, _DGP, "CAM", 0.5),

@@ -137,7 +137,7 @@ _NPY, _PKL = ("*.npy", damaged_bytes), ("*.pkl", damaged_bytes)
 _PLY = ("*.ply", damaged_header(b"end_header\n"))
 _NPZ = ("*.npz", inside_zip(lambda _: damaged_bytes))
 
-_INFOS = "nuScenes (MMDetection3D)"
+_INFOS = "MMDetection3D"
 _BAG = "ROS 2 bag (MCAP, SQLite)"
 
 

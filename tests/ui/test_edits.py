@@ -110,7 +110,7 @@ def test_a_face_of_the_crop_box_is_dragged_and_applied(driver):
     assert editor.document.scene.member(WALL).marks.deleted is None
 
 
-def test_the_picture_beside_the_bar_of_a_tool_can_be_dragged(driver):
+def test_the_view_next_to_the_options_of_a_tool_can_be_dragged(driver):
     use(driver, "Crop")
     driver.frames(3)
     heading = driver.editor.viewport.navigation.heading
